@@ -16,12 +16,18 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray
+from stickslip_fit.causes.times import AMBIGUOUS, read_times
 from stickslip_fit.errors import InputError, InputIssue, shorten
+from stickslip_fit.laws.table import mistyped_column
 
 ROLES = ("session", "time", "position", "direction", "group")
 ORDER = "order"
 ONE_SESSION = "all"  # label of the rows of a table without sessions
-BACKWARD = ("-", "backward", "down", "left", "false")  # values of a direction, in lower case
+# Values of a direction, in lower case.
+BACKWARD = (
+    *("-", "minus", "neg", "negative", "backward", "backwards", "back", "bwd", "rev", "reverse"),
+    *("down", "left", "false", "return", "falling", "decreasing", "unloading", "ccw"),
+)
 ROW_NUMBER = "stickslip-fit: row"  # column of each row's place in the table, from 0
 MAX_LISTED = 3  # faulty cells of a column, and columns of a table
 OWN_COLUMNS = {
@@ -45,7 +51,7 @@ class TableRoles:
     position : str or None
         Of what moves.
     direction : str or None
-        Two values, or numbers whose signs count.
+        Two values, see `direction_labels`, or numbers whose signs count.
     group : str or None
         What belongs together: replicates of one condition, one specimen.
     time_unit : str
@@ -92,7 +98,9 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
         issues.append(InputIssue("the table has no rows"))
     if issues:
         raise InputError(issues)
-    frame = frame.set_axis(names, axis=1).reset_index(drop=True)
+    frame = frame.set_axis(names, axis=1)
+    places = frame[ROW_NUMBER] if ROW_NUMBER in names else np.arange(len(frame))
+    frame = frame.set_axis(pd.Index(places), axis=0)
     missing = {name: role for role, name in _columns_of(roles).items() if name not in names}
     issues += [_explain_unknown(name, f"{role}=", names) for name, role in missing.items()]
     issues += [_explain_unknown(name, "the law", names) for name in numbers if name not in names]
@@ -115,13 +123,13 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
     seconds, time_issues = _read_time(frame, roles)
     if issues or time_issues:
         raise InputError([*issues, *time_issues])
-    session = frame[roles.session].astype(str) if roles.session else pd.Series(ONE_SESSION, frame.index)
+    session = _label_sessions(frame[roles.session]) if roles.session else pd.Series(ONE_SESSION, frame.index)
     order = np.lexsort((np.arange(len(frame)), seconds, pd.factorize(session)[0]))
     own = {"session": session.astype(object), "session_seconds": seconds, "joint": 1}
-    rows = frame.assign(**own, **{ROW_NUMBER: np.arange(len(frame))})
+    rows = frame.assign(**own, **{ROW_NUMBER: frame.index})
     rows = rows.iloc[order].reset_index(drop=True)
     if roles.time == ORDER:
-        rows["session_seconds"] = rows.groupby("session", sort=False).cumcount().astype(float)
+        rows["session_seconds"] = _count_rows(rows)
     elif roles.time:
         first = rows.groupby("session", sort=False)["session_seconds"].transform("first")
         rows["session_seconds"] -= first
@@ -130,13 +138,30 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
     return rows
 
 
+def _label_sessions(cells: pd.Series[Any]) -> pd.Series[Any]:
+    """Sessions as text; whole numbers are written as such, also beside cells that were empty."""
+    if cells.dtype.kind == "f" and (cells % 1 == 0).all():
+        cells = cells.astype(int)
+    return cells.astype(str)
+
+
+def _count_rows(rows: pd.DataFrame) -> pd.Series[Any]:
+    """The place of each row in its session; where sessions do not interleave, rows left out count, too."""
+    sessions = rows.groupby("session", sort=False)[ROW_NUMBER]
+    spans = sessions.agg(["min", "max"]).sort_values("min")
+    if (spans["max"].to_numpy()[:-1] < spans["min"].to_numpy()[1:]).all():
+        return (rows[ROW_NUMBER] - sessions.transform("first")).astype(float)
+    return sessions.cumcount().astype(float)
+
+
 def _columns_of(roles: TableRoles) -> dict[str, str]:
     return {role: name for role, name in roles.columns.items() if (role, name) != ("time", ORDER)}
 
 
 def _explain_unknown(name: str, by: str, names: list[str]) -> InputIssue:
-    similar = get_close_matches(name, names, 1, 0.5)
-    hint = f"did you mean {shorten(similar[0])}? " if similar else ""
+    similar = mistyped_column(name, names) or next(iter(get_close_matches(name, names, 1, 0.5)), "")
+    hint = f"did you mean {shorten(similar)}? " if similar else ""
+    names = [name for name in names if name != ROW_NUMBER]
     shown = ", ".join(map(shorten, names[:40])) + (" ..." if len(names) > 40 else "")
     return InputIssue(
         f"{by} names it, and the table has no such column; {hint}its columns are {shown}", column=name
@@ -159,7 +184,9 @@ def _find_empty(cells: pd.Series[Any]) -> list[InputIssue]:
 def _list_cells(cells: pd.Series[Any], bad: BoolArray, message: str) -> list[InputIssue]:
     places = np.flatnonzero(bad)
     issues = [
-        InputIssue(f"row {place + 1} {message}", column=str(cells.name), value=str(cells.iloc[place]))
+        InputIssue(
+            f"row {cells.index[place] + 1} {message}", column=str(cells.name), value=str(cells.iloc[place])
+        )
         for place in places[:MAX_LISTED].tolist()
     ]
     if len(places) > MAX_LISTED:
@@ -171,13 +198,19 @@ def _list_cells(cells: pd.Series[Any], bad: BoolArray, message: str) -> list[Inp
 
 
 def _check_direction(cells: pd.Series[Any]) -> list[InputIssue]:
-    if pd.api.types.is_numeric_dtype(cells) and not pd.api.types.is_bool_dtype(cells):
-        return find_bad_numbers(cells)
     values = list(map(str, pd.unique(cells)))
+    if pd.api.types.is_numeric_dtype(cells) and not pd.api.types.is_bool_dtype(cells):
+        if issues := find_bad_numbers(cells):
+            return issues
+        if cells.min() < 0 < cells.max():
+            return []
     if len(values) <= 2:
         return []
     shown = ", ".join(map(shorten, values[: MAX_LISTED + 1]))
-    message = f"a direction has two values, or is a number whose sign counts; this column has {shown}"
+    message = (
+        "a direction has two values, or is a number that is above 0 one way and below 0 the other; this "
+        f"column has {shown}"
+    )
     return [InputIssue(message + (" ..." if len(values) > MAX_LISTED + 1 else ""), column=str(cells.name))]
 
 
@@ -185,20 +218,19 @@ def _read_time(frame: pd.DataFrame, roles: TableRoles) -> tuple[Array, list[Inpu
     """Times in seconds, shape (n,); the order of the rows where no column has them."""
     if roles.time is None or roles.time == ORDER:
         return np.arange(len(frame), dtype=float), []
-    cells = frame[roles.time]
-    if not pd.api.types.is_numeric_dtype(cells):
-        times = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601")
-        message = "is no time; write seconds, or times such as 2024-05-31T14:02:07.5"
-        issues = _list_cells(cells, times.isna().to_numpy(), message)
-        seconds = (times - times.min()).dt.total_seconds().to_numpy()
-        return seconds, issues
-    return cells.to_numpy(dtype=float, na_value=np.nan), find_bad_numbers(cells)
+    times = read_times(frame[roles.time])
+    if times.fault == AMBIGUOUS and times.bad.all():
+        return times.seconds, [InputIssue(AMBIGUOUS, column=roles.time, value=str(frame[roles.time].iloc[0]))]
+    if pd.api.types.is_numeric_dtype(frame[roles.time]):
+        return times.seconds, find_bad_numbers(frame[roles.time])
+    first = min(times.seconds[~times.bad], default=0.0)
+    return times.seconds - first, _list_cells(frame[roles.time], times.bad, times.fault)
 
 
 def direction_sign(rows: Mapping[str, Any], column: str, labels: tuple[str, ...]) -> Array:
     """1 or -1 for each row (0 for a number 0), shape (n,).
 
-    `labels` are the two values of a column that is not of numbers, the backward one first; empty for numbers.
+    `labels` are the two values of a column, the backward one first; empty for numbers whose signs count.
 
     Examples
     --------
@@ -208,18 +240,24 @@ def direction_sign(rows: Mapping[str, Any], column: str, labels: tuple[str, ...]
     values = np.asarray(rows[column])
     if not labels:
         return np.asarray(np.sign(values.astype(float)))
-    return np.where(values.astype(str) == labels[-1], 1.0, -1.0)
+    forward = values == float(labels[-1]) if values.dtype.kind in "iuf" else values.astype(str) == labels[-1]
+    return np.where(forward, 1.0, -1.0)
 
 
 def direction_labels(cells: pd.Series[Any]) -> tuple[str, ...]:
-    """The two values of a direction that is not of numbers, the backward one first.
+    """The two values of a direction, the backward one first; empty for more values, whose signs count.
+
+    Of two numbers the larger is forward, of two words the first that appears, unless that means backward.
 
     Examples
     --------
-    >>> direction_labels(pd.Series(["+", "-", "+"]))
-    ('-', '+')
+    >>> direction_labels(pd.Series(["+", "-", "+"])), direction_labels(pd.Series([0, 1, 1]))
+    (('-', '+'), ('0', '1'))
+    >>> direction_labels(pd.Series([-0.2, 0.1, 0.3]))
+    ()
     """
+    values = pd.unique(cells.dropna())
     if pd.api.types.is_numeric_dtype(cells) and not pd.api.types.is_bool_dtype(cells):
-        return ()
-    values = map(str, pd.unique(cells))
-    return tuple(sorted(values, key=lambda value: (value.lower() not in BACKWARD, value)))
+        return tuple(f"{value:.15g}" for value in sorted(map(float, values))) if len(values) == 2 else ()
+    words = list(map(str, values))
+    return tuple(sorted(words[::-1], key=lambda word: word.lower() not in BACKWARD))

@@ -38,6 +38,12 @@ def parse_path(text: str) -> Path:
     return Path(text)
 
 
+def parse_table_law(text: str) -> Path | str:
+    """The path of a law file, or a formula as it is: what has a ~, or = in its place, and is no file."""
+    is_formula = re.search(r"[~=]", text) and not text.startswith("~/") and not text.endswith(".toml")
+    return text if is_formula and not os.path.exists(text) else parse_path(text)
+
+
 LogPath = Annotated[
     list[Path],
     typer.Argument(

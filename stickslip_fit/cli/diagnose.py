@@ -32,6 +32,7 @@ from stickslip_fit.cli._options import (
     load_laws,
     load_log,
     parse_path,
+    parse_table_law,
     reference_law,
 )
 from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 
     from stickslip_fit._summary import Summary
     from stickslip_fit.causes import Cause
+    from stickslip_fit.causes.law_file import LawsAndCauses
     from stickslip_fit.diagnosis import Diagnosis
     from stickslip_fit.estimation import Result, TableFit
     from stickslip_fit.logs import Log
@@ -114,7 +116,10 @@ def diagnose(
     latex: Latex = None,
 ) -> None:
     """Test the laws against a log, name the causes of a misfit, and measure what modelling them gains."""
-    campaign = load_log(log, machine, since, until, sheet)
+    try:
+        campaign = load_log(log, machine, since, until, sheet)
+    except InputError as error:
+        raise InputError([*error.problems, *suggest_table_command(log[0], sheet)]) from None
     laws = load_laws(law, campaign.joints)
     check_savable(campaign, laws, save_law)
     result = diagnose_with_progress(campaign, alpha, seed, laws, load_causes(law))
@@ -123,6 +128,26 @@ def diagnose(
     extended = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
     following = "" if save_law else suggest_next(result, log)
     show(result.summary(), Display(full, csv, latex, log), filter(None, [*saved, extended, following]))
+
+
+def suggest_table_command(path: Path, sheet: str | None) -> list[InputIssue]:
+    """The command for a file that is a table, and no log: it has neither joints nor steps."""
+    from stickslip_fit.logs.table_file import read_table_file
+
+    try:
+        frame = read_table_file(path, sheet).frame
+    except InputError:
+        return []
+    names = [str(name) for name in frame if frame[name].dtype.kind in "if"]
+    if {"joint", "steps"} & set(map(str, frame)) or not names:
+        return []
+    are_plain = len(names) > 1 and all(map(str.isidentifier, names))
+    formula = f"{names[-1]} ~ a + b*{names[0]}" if are_plain else "RESPONSE ~ a + b*COLUMN"
+    command = shlex.join(["stickslip-fit", "diagnose-table", str(path), "--law", formula])
+    message = (
+        f"has neither joints nor steps, so it is no step log. For any other table, with a law: {command}"
+    )
+    return [InputIssue(message, str(path))]
 
 
 def suggest_next(diagnosis: Diagnosis, log: list[Path]) -> str:
@@ -151,7 +176,12 @@ def diagnose_table(
     ],
     law: Annotated[
         Path,
-        typer.Option(help="Law file (TOML): formula, units, roles of columns, causes of your own."),
+        typer.Option(
+            metavar="FORMULA|FILE",
+            parser=parse_table_law,
+            help="Formula such as 'y ~ a + b*x', or law file (TOML): formula, units, roles of columns, "
+            "causes of your own.",
+        ),
         INPUT,
     ],
     session: Annotated[
@@ -186,20 +216,15 @@ def diagnose_table(
 ) -> None:
     """Test a law of your own on any table, name the causes of a misfit, and measure what they gain.
 
-    An example, with `F ~ M*acc + Fv*vel + Fc*sign(vel)` in friction.toml as its formula, and bench.csv with
-    the columns t, vel, acc and F:
+    An example, with the columns t, vel, acc and F in bench.csv:
 
-    stickslip-fit diagnose-table bench.csv --law friction.toml --time t --report bench.html
+    stickslip-fit diagnose-table bench.csv --law 'F ~ M*acc + Fv*vel + Fc*sign(vel)' --time t
 
-    Roles of columns may stand in the law file, under [roles]; an option goes before.
+    A law file has units and causes as well, and roles of columns under [roles]; an option goes before.
     """
-    from stickslip_fit.causes.law_file import read_law_file
     from stickslip_fit.diagnosis import diagnose_table as diagnose
 
-    file = read_law_file(law)
-    if file.law is None:
-        message = "has laws of a log's joints alone; give the table's law as formula, above all [tables]"
-        raise InputError(InputIssue(message, str(law)))
+    file = load_table_law(law)
     given = {
         "session": session,
         "time": time,
@@ -224,7 +249,22 @@ def diagnose_table(
     if save_law is not None:
         result.extended_law(command=command_line()).save(save_law)
         saved.append(f"law ({describe_extension(result)}) saved to {save_law}")
-    show(result.summary(), Display(full, csv, latex, [data, law]), saved)
+    read = [path for path in (data, law) if isinstance(path, Path)]
+    show(result.summary(), Display(full, csv, latex, read), saved)
+
+
+def load_table_law(law: Path | str) -> LawsAndCauses:
+    """The law of a table, and what its file has beside it; a formula has nothing beside it."""
+    from stickslip_fit.causes.law_file import LawsAndCauses, read_law_file
+    from stickslip_fit.laws import Law
+
+    if isinstance(law, str):
+        return LawsAndCauses(law=Law(law), laws={}, causes=(), roles={})
+    file = read_law_file(law)
+    if file.law is None:
+        message = "has laws of a log's joints alone; give the table's law as formula, above all [tables]"
+        raise InputError(InputIssue(message, str(law)))
+    return file
 
 
 def describe_extension(diagnosis: Diagnosis) -> str:

@@ -104,6 +104,7 @@ def _table_to_json(table: TableInfo) -> dict[str, Any]:
             "correlation_time": to_plain(table.correlation_time),
             "noise_period": to_plain(table.noise_period),
             "roles": {role: column for role, column in table.roles.items() if column},
+            "notes": list(table.notes),
         },
     }
 

@@ -113,7 +113,8 @@ def write_table_headline(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
             _describe_gain(diagnosis, table),
         ]
     flags = flag_law(diagnosis, table)
-    return [*flags, *sentences, *diagnosis.notes, describe_independence(table, diagnosis.findings)]
+    notes = (*table.notes, *diagnosis.notes)
+    return [*flags, *sentences, *notes, describe_independence(table, diagnosis.findings)]
 
 
 def describe_table_effect(finding: Finding, table: TableInfo) -> str:

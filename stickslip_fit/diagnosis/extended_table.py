@@ -10,11 +10,12 @@ import pandas as pd
 from stickslip_fit._format import pluralize
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.roles import ORDER, TableRoles
+from stickslip_fit.causes.times import read_times
 from stickslip_fit.diagnosis.finding import TableInfo
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LawBlock, whiten
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.estimation.result import library_versions
-from stickslip_fit.estimation.table_fit import TableFit, TableSource, absolute_seconds
+from stickslip_fit.estimation.table_fit import TableFit, TableSource
 
 BOUND_TOL = 1e-9  # of a parameter's size
 RANK_TOL = 1e-10  # of singular values, columns of unit length
@@ -70,7 +71,7 @@ def _find_begins(rows: pd.DataFrame, roles: TableRoles) -> dict[str, float]:
     if roles.time is None or roles.time == ORDER or roles.time not in rows:
         return {}
     first = (
-        pd.Series(absolute_seconds(rows[roles.time])).groupby(rows["session"].astype(str).to_numpy()).min()
+        pd.Series(read_times(rows[roles.time]).seconds).groupby(rows["session"].astype(str).to_numpy()).min()
     )
     return {str(name): float(value) for name, value in first.items()}
 

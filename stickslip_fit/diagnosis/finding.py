@@ -188,6 +188,8 @@ class TableInfo:
         Empty for a table that was never in a file; the hash is then that of its values.
     files : tuple of str
         Files that no output may replace: the table's, and that of its law.
+    notes : tuple of str
+        Sentences on how it was read, and what was left out.
     """
 
     response: str
@@ -203,6 +205,7 @@ class TableInfo:
     file: str = ""
     sha256: str = ""
     files: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def is_correlated(self) -> bool:

@@ -46,7 +46,9 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     nothing = Outliers(np.zeros(0, dtype=np.intp), 1.0)
     widths = [part.values.shape[1] - problem.n_shared for part in problem.parts]
     blocks = [len(np.unique(part.block)) for part in problem.parts]
-    if len(problem) - problem.n_shared - int(np.dot(widths, blocks)) < MIN_DF:
+    df = len(problem) - problem.n_shared - int(np.dot(widths, blocks))
+    # A robust fit may run through as many rows as it has parameters; of half of them the median would be 0.
+    if df < max(MIN_DF, len(problem) / 2):
         return nothing
     linearized = problem.linearize()
     if fits_exactly(linearized):

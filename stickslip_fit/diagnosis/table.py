@@ -9,9 +9,8 @@ estimated and removed (`autocorrelation`).
 from __future__ import annotations
 
 import hashlib
-import io
 import time as clock
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,14 +18,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._input import format_path, read_file
+from stickslip_fit._format import join_words
+from stickslip_fit._input import format_path
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import table_library
+from stickslip_fit.causes.cause_formula import CauseFormula
+from stickslip_fit.causes.empty_cells import leave_out_empty, leave_out_gaps
 from stickslip_fit.causes.generic import SessionOffset
 from stickslip_fit.causes.periodic import PeriodicTime
-from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, prepare_rows
+from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, direction_labels, prepare_rows
 from stickslip_fit.causes.table_terms import PeriodicTableTerm
+from stickslip_fit.causes.times import read_times
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, number_samples
 from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.finding import TableInfo
@@ -47,16 +50,17 @@ from stickslip_fit.errors import InputError, InputIssue, check_count, check_rate
 from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.estimation.table_law import fit_table_law
 from stickslip_fit.laws import Law
-from stickslip_fit.logs._decimals import guess_dialect
-from stickslip_fit.logs._sheet import is_workbook
+from stickslip_fit.logs._numbers import with_numbers
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
+from stickslip_fit.logs.table_file import read_table_file
 
-MAX_BYTES = 2**29  # of a file
 MAX_MEAN_DIRECTIONS, ROWS_PER_MEAN_DIRECTION = 30, 12  # of candidates, while the noise is estimated
+MAX_RATIO = 1e15  # of a response to their median, beside which the others are lost in rounding
 # Of the noise, relative to the responses' standard deviation and to the largest of them; less is rounding.
 MIN_RELATIVE_SD, ROUNDING = 1e-9, 1e-13
 NO_TIME = "no column was named as the time; where rows stand in the order of measurement, say time='order'"
 N_REFITS = 4
+PARAMETER_LETTERS = "abcd"  # names of a formula that look like parameters
 NO_POSITION = "no column was named as the position"
 NO_DIRECTION = "no column was named as the direction"
 
@@ -124,9 +128,13 @@ def diagnose_table(
     began = clock.perf_counter()
     check_rate("alpha", alpha)
     check_count("seed", seed, least=0)
-    table, source = read_table(frame, sheet)
-    law = as_law(law)
-    roles = TableRoles(session, time, position, direction, group, _time_unit(law, table, time))
+    law, causes = as_law(law), tuple(causes)
+    roles = TableRoles(session, time, position, direction, group)
+    used, levels = _find_columns(law, response, causes), [str(getattr(cause, "by", "")) for cause in causes]
+    table, source = read_rows(frame, sheet, roles, used, levels)
+    table, notes = leave_out_gaps(table, {*used, *levels, *roles.columns.values()})
+    source["notes"] = (*source["notes"], *notes, *describe_choices(table, roles, law))
+    roles = replace(roles, time_unit=_time_unit(law, table, time))
     if shared is not None:
         law = replace(law, shared=shared if isinstance(shared, str) else tuple(shared))
     progress("fitting the law", 0.0)
@@ -166,10 +174,10 @@ def fit_table(
     InputError
         As `diagnose_table`.
     """
-    table, source = read_table(frame, sheet)
-    roles = TableRoles(session, time)
+    roles, law = TableRoles(session, time), as_law(law)
+    table, source = read_rows(frame, sheet, roles, _find_columns(law, response, ()))
     if shared is not None:
-        law = replace(as_law(law), shared=shared if isinstance(shared, str) else tuple(shared))
+        law = replace(law, shared=shared if isinstance(shared, str) else tuple(shared))
     problem, _ = problem_from_table(table, law, response=response, roles=roles, generic_causes=())
     correlated = problem.with_autocorrelation()
     linearized = correlated.linearize()
@@ -209,10 +217,13 @@ def problem_from_table(
     """
     roles = TableRoles() if roles is None else roles
     law = as_law(law)
-    prepare_rows(frame, roles, _find_columns(law, frame))
-    bound = law.bind_table(frame, response=response, session=roles.session)
+    names = [str(name) for name in getattr(frame, "columns", ())]
+    prepare_rows(frame, roles, [name for name in _find_columns(law, None, ()) if name in names])
+    own = frame.drop(columns=ROW_NUMBER, errors="ignore")
+    bound = law.bind_table(own, response=response, session=roles.session)
     rows = prepare_rows(frame, roles, bound.columns)
     y, rounding = bound.response(rows)
+    _check_response(y, rows, bound.response_name)
     part, repeatability = _fit_law(bound, rows, y)
     least_sd = MIN_RELATIVE_SD * float(np.std(y)) + ROUNDING * (float(np.abs(y).max()) or 1.0)
     session = pd.factorize(rows["session"])[0].astype(np.intp)
@@ -243,7 +254,7 @@ def problem_from_table(
         least_sd=least_sd,
     )
     missing = _explain_missing(rows, bound, roles) if generic_causes is None else {}
-    if sample is None:
+    if sample is None or repeatability <= least_sd:  # without scatter there is no noise to be coloured
         return problem, missing
     return with_samples(problem, sample, roles.time_unit if generic_causes is None else None), missing
 
@@ -335,7 +346,7 @@ def _time_unit(law: Any, table: pd.DataFrame, time: str | None) -> str:
 def read_table(
     frame: pd.DataFrame | str | Path, sheet: str | None = None
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
-    """A table from a DataFrame or a file, with its name and hash as `TableInfo` has them.
+    """A table from a DataFrame or a file, with its name, hash and notes as `TableInfo` has them.
 
     Raises
     ------
@@ -346,35 +357,48 @@ def read_table(
         return frame, {"sha256": _hash_frame(frame)}
     if not isinstance(frame, str | Path):
         raise InputError(f"a table is a DataFrame or the path of a file, not {type(frame).__name__}")
-    raw, name = read_file(frame, "table (CSV, Excel or Parquet)", MAX_BYTES), format_path(frame)
-    if not raw:
-        raise InputError(InputIssue("is empty; name a table with a header and rows", name))
-    if sheet is not None and not is_workbook(raw):
-        raise InputError(InputIssue("is no Excel workbook, and has no sheets; leave the sheet out", name))
-    try:
-        if raw[:4] == b"PAR1":
-            table = pd.read_parquet(io.BytesIO(raw))
-        elif is_workbook(raw):
-            table = pd.read_excel(io.BytesIO(raw), sheet_name=sheet or 0)
-        else:
-            separator, decimal = guess_dialect(raw)
-            table = pd.read_csv(
-                io.BytesIO(raw), sep=separator, header=None, nrows=1, dtype=str, encoding="utf-8-sig"
-            )
-            header = [str(cell) for cell in table.iloc[0]]
-            table = pd.read_csv(
-                io.BytesIO(raw), sep=separator, decimal=decimal, engine="pyarrow", encoding="utf-8"
-            )
-            table = table.set_axis([cell.strip().removeprefix("\ufeff") for cell in header], axis=1)
-    except InputError as error:
-        raise InputError([replace(issue, file=name) for issue in error.problems]) from None
-    # pandas and pyarrow raise several kinds, all of them about the file.
-    except Exception as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(
-            InputIssue(f"is no table that can be read ({reason}); save it as CSV", name)
-        ) from None
-    return table, {"file": name, "sha256": hashlib.sha256(raw).hexdigest(), "files": (str(frame),)}
+    read = read_table_file(frame, sheet)
+    source = {"file": format_path(frame), "sha256": read.sha256, "files": (str(frame),)}
+    return read.frame, source | ({"notes": (read.note,)} if read.note else {})
+
+
+def read_rows(
+    frame: pd.DataFrame | str | Path,
+    sheet: str | None,
+    roles: TableRoles,
+    used: Sequence[str],
+    levels: Sequence[str] = (),
+) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """As `read_table`, without the rows in which a role or a column is empty.
+
+    Columns in `used` are of numbers, those in `levels` of anything.
+    """
+    table, source = read_table(frame, sheet)
+    names = [str(name) for name in table.columns]
+    if len(table) == 0 or len(set(names)) < len(names):
+        prepare_rows(table, roles)  # which says what is wrong
+    numbers = [*used, *filter(None, [roles.position])]
+    texts = [roles.session, roles.direction, roles.group, roles.time, *levels]
+    table = with_numbers(table.set_axis(names, axis=1), numbers)
+    table, notes = leave_out_empty(table, numbers, [name for name in texts if name])
+    return table, source | {"notes": (*source.get("notes", ()), *notes)}
+
+
+def describe_choices(table: pd.DataFrame, roles: TableRoles, law: Any) -> tuple[str, ...]:
+    """What was taken for what where another reading is possible, as sentences."""
+    notes = []
+    labels = direction_labels(table[roles.direction]) if roles.direction in table else ()
+    is_number = bool(labels) and table[roles.direction].dtype.kind in "iuf"
+    are_signs = float(labels[0]) < 0 < float(labels[-1]) if is_number else labels == ("-", "+")
+    if labels and not are_signs:
+        notes.append(f"Of the direction {roles.direction}, {labels[-1]} is + and {labels[0]} is -.")
+    if roles.time in table and (note := read_times(table[roles.time]).note):
+        notes.append(f"Of the time {roles.time}, {note}.")
+    letters = [name for name in getattr(law, "names", ()) if name in PARAMETER_LETTERS and name in table]
+    if letters:
+        columns = "is the column of that name" if len(letters) == 1 else "are the columns of these names"
+        notes.append(f"{join_words(letters)} of the law {columns}, and no parameter.")
+    return tuple(notes)
 
 
 def _hash_frame(frame: pd.DataFrame) -> str:
@@ -393,11 +417,35 @@ def as_law(law: Any) -> Any:
     return law
 
 
-def _find_columns(law: Any, frame: pd.DataFrame) -> list[str]:
-    """The columns of a table that a law names; what else it names is checked when it is bound."""
+def _check_response(y: Array, rows: pd.DataFrame, name: str) -> None:
+    """Refuse responses of which nothing can be learnt."""
+    if len(y) > 1 and np.ptp(y) == 0:
+        raise InputError(
+            f"the response is constant: {name} is {y[0]:g} in every row; there is nothing to explain"
+        )
+    size = np.abs(y)
+    usual = float(np.median(size[size > 0])) if size.any() else 0.0
+    if (far := size > MAX_RATIO * usual).any():
+        issues = [
+            InputIssue(
+                f"row {row + 1} is more than {MAX_RATIO:.0e} times as large as is usual here; correct it, or "
+                "leave out its row",
+                column=name,
+                value=f"{value:g}",
+            )
+            for row, value in zip(rows.loc[far, ROW_NUMBER], y[far], strict=True)
+        ]
+        raise InputError(issues[:3])
+
+
+def _find_columns(law: Any, response: str | None, causes: Iterable[Any]) -> list[str]:
+    """Names that may be columns: those of a law and its response, and of causes that are formulas."""
     left = getattr(law, "left", None)
-    names = (*getattr(law, "names", ()), *(left.names if left is not None else ()))
-    return [name for name in names if name in getattr(frame, "columns", ())]
+    names = [*getattr(law, "names", ()), *(left.names if left is not None else [response or ""])]
+    for cause in causes:
+        if isinstance(cause, CauseFormula):
+            names += [*cause.effect.names, cause.target]
+    return list(dict.fromkeys(filter(None, names)))
 
 
 def _fit_law(law: Any, rows: pd.DataFrame, y: Array) -> tuple[LawBlock, float]:

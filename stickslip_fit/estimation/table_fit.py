@@ -20,6 +20,7 @@ from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.levels import LevelCause
 from stickslip_fit.causes.roles import ORDER, ROW_NUMBER, TableRoles, prepare_rows
+from stickslip_fit.causes.times import read_times
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.estimation._table_law_json import describe_table_law
 from stickslip_fit.estimation.noise import t_quantile
@@ -198,7 +199,7 @@ class TableFit(Summarized):
         if issues := [issue for cause in levels for issue in cause.find_unknown(frame)]:
             raise InputError(issues)
         if needs_time and roles.time != ORDER:
-            seconds = absolute_seconds(frame[roles.time])[rows[ROW_NUMBER].to_numpy()]
+            seconds = read_times(frame[roles.time]).seconds[rows[ROW_NUMBER].to_numpy()]
             begin = pd.Series(seconds).groupby(rows["session"].to_numpy(object)).transform("min")
             fitted = rows["session"].map(dict(self.begins)).astype(float)
             rows["session_seconds"] = seconds - fitted.fillna(begin).to_numpy(float)
@@ -256,14 +257,6 @@ class TableFit(Summarized):
         from stickslip_fit.plotting.table import plot_measured
 
         return collect_axes(plot_measured(self))
-
-
-def absolute_seconds(cells: pd.Series[Any]) -> Array:
-    """Times as the table has them, shape (n,): numbers as they are, times of day in s since 1970."""
-    if pd.api.types.is_numeric_dtype(cells):
-        return cells.to_numpy(dtype=float)
-    times = pd.to_datetime(cells, utc=True)
-    return (times - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(dtype=float)
 
 
 FORMAT, VERSION = "stickslip-fit/table-fit", 1

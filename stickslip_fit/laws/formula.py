@@ -24,13 +24,12 @@ from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.laws.base import Parameter, Rows
 from stickslip_fit.laws.formula_step import RESPONSE, FormulaStepLaw, make_step_law
 from stickslip_fit.laws.quantities import NOT_KNOWN_BEFORE, known_names
-from stickslip_fit.laws.table import TableLaw, similar_name
-from stickslip_fit.laws.table_check import check_table_law
+from stickslip_fit.laws.table import TableLaw, as_written, is_alike, mistyped_column, similar_name
+from stickslip_fit.laws.table_check import check_table_law, explain_mistyped, list_names
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import TableUnit
 
 SMALLER_STARTS = (0.1, 0.01, 0.0)  # in the unit of the parameter
-MAX_NAMES_SHOWN = 40
 Bounds = tuple[float | None, float | None]
 
 
@@ -142,9 +141,10 @@ class Law:
         Raises
         ------
         InputError
-            With every fault of names: unknown columns with what is similar, parameters that are never used
-            or have no effect. Then for declared units that do not fit together, for responses or predictions
-            that are no numbers, and for combinations of parameters that the rows cannot tell apart.
+            With every fault of names: unknown columns with what is similar, parameters that are never used,
+            have no effect, or are a column but for their case. Then for declared units that do not fit
+            together, for responses or predictions that are no numbers, and for combinations of parameters
+            that the rows cannot tell apart.
         """
         left = self._left_of(response)
         columns = [str(name) for name in frame.columns]
@@ -328,26 +328,26 @@ class _Names:
             for name in free
             if name not in law.right.active_names
         ]
+        unused = [name for name in self.columns if name not in (*law.names, *self.left.names)]
+        for name in free if self.of == "table" else []:
+            other = next((column for column in unused if is_alike(name, column)), "")
+            if other and name not in (*declared, *unknown):
+                issues.append(explain_mistyped(name, other, self.columns))
         both = [name for name in self.left.names if name in law.names]
         issues += [InputIssue(f"the response {name} stands on both sides of {law.text!r}") for name in both]
         own = [name for name in free if not law._is_shared(name)]
         return issues, [*own, *(name for name in free if law._is_shared(name))]
 
     def _unknown_column(self, name: str, strict: bool = False) -> InputIssue:
-        similar = similar_name(name, self.columns)
-        hint = f"did you mean {similar}? " if similar else ""
+        similar = mistyped_column(name, self.columns) or similar_name(name, self.columns)
+        hint = f"did you mean {as_written(similar)}? " if similar else ""
         parameter = f". If {name} is a parameter, name it in units, bounds or start" if strict else ""
         return InputIssue(
             f"the law {shorten(self.law.text)!r} has {name}, which is no column of the {self.of}; {hint}"
-            f"there are {_list_names(self.columns)}{parameter}"
+            f"there are {list_names(self.columns)}{parameter}"
         )
 
     def _unused(self, name: str) -> InputIssue:
         similar = similar_name(name, self.law.names)
         hint = f"; did you mean {similar}?" if similar else "; leave it out, or use it"
         return InputIssue(f"{name} is declared and never used in {shorten(self.law.text)!r}{hint}")
-
-
-def _list_names(names: list[str]) -> str:
-    shown = ", ".join(shorten(name) for name in names[:MAX_NAMES_SHOWN])
-    return shown + (f" and {len(names) - MAX_NAMES_SHOWN:,} more" if len(names) > MAX_NAMES_SHOWN else "")

@@ -6,6 +6,7 @@ need no start values; the others begin where the law says, within their bounds, 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -26,6 +27,8 @@ MAX_STARTS = 125  # places where a search may begin
 MAX_EVALUATIONS = 50  # for start values
 BAD_FIT = 1e6  # standard deviations, in place of what is no number
 MAX_LINEAR = 16  # parameters that are looked at
+_UNIT_AFTER = re.compile(r"\s*[(\[][^()\[\]]*[)\]]\s*$")  # of a column's name
+MIN_MISTYPED = 3  # letters of a name that may have a wrong one
 LINEAR_TOL = 1e-9  # share of the response's change
 
 
@@ -278,3 +281,47 @@ def similar_name(name: str, names: Iterable[str]) -> str:
         other for other in names if len(other) > 1 and (name.startswith(other) or other.startswith(name))
     ]
     return next(iter([*get_close_matches(shorten(name), names, 1), *begins]), "")
+
+
+def mistyped_column(name: str, columns: Iterable[str]) -> str:
+    """The column that a name is but for its case, its unit or, of three letters and more, one letter; or "".
+
+    Examples
+    --------
+    >>> mistyped_column("force", ["t (s)", "Force [N]"])
+    'Force [N]'
+    >>> mistyped_column("X", ["t", "x"]), mistyped_column("temperatur", ["Temperature"])
+    ('x', 'Temperature')
+    >>> mistyped_column("a", ["t", "x"]), mistyped_column("speed", ["pseed"])
+    ('', 'pseed')
+    """
+    columns = list(columns)
+    alike = [column for column in columns if is_alike(name, column)]
+    near = [column for column in columns if min(len(name), len(column)) >= MIN_MISTYPED]
+    return next(iter([*alike, *(one for one in near if _is_one_edit(name.lower(), one.lower()))]), "")
+
+
+def is_alike(name: str, column: str) -> bool:
+    """Whether a name is a column's but for its case, or for a unit in brackets after it."""
+    return _UNIT_AFTER.sub("", column).lower() == name.lower()
+
+
+def as_written(column: str) -> str:
+    """A column as a formula names it.
+
+    Examples
+    --------
+    >>> as_written("x"), as_written("x (mm)")
+    ('x', 'Q("x (mm)")')
+    """
+    return column if column.isidentifier() else f'Q("{column}")'
+
+
+def _is_one_edit(one: str, other: str) -> bool:
+    """Whether a letter was added, left out, replaced, or put before its neighbour."""
+    short, long = sorted((one, other), key=len)
+    same = next((k for k, (a, b) in enumerate(zip(short, long, strict=False)) if a != b), len(short))
+    if len(long) > len(short):
+        return len(long) == len(short) + 1 and short[same:] == long[same + 1 :]
+    swapped = short[:same] + short[same : same + 2][::-1] + short[same + 2 :]
+    return short[same + 1 :] == long[same + 1 :] or swapped == long

@@ -16,14 +16,22 @@ import pandas as pd
 from stickslip_fit._expression import Expression
 from stickslip_fit._format import join_words
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.laws.base import Rows
 from stickslip_fit.laws.dimensions import check_dimensions
-from stickslip_fit.laws.table import TableLaw, count_rows, number_column, similar_name
+from stickslip_fit.laws.table import (
+    TableLaw,
+    as_written,
+    count_rows,
+    mistyped_column,
+    number_column,
+    similar_name,
+)
 
 RANK_TOL = 1e-7  # singular values relative to the largest, columns of length 1
 SAME_TOL = 1e-4  # between two points, and of a coefficient that is 0
 MAX_ROWS = 20_000  # that are looked at
+MAX_NAMES_SHOWN = 40
 MIN_NAME = 4  # letters; a shorter one is seldom a mistyped column
 
 
@@ -44,7 +52,7 @@ def check_table_law(law: TableLaw, frame: pd.DataFrame, session: str | None) -> 
     if not np.isfinite(y).all():
         bad = ~np.isfinite(y)
         raise InputError(
-            f"the response {law.response_name} is no number in row {_first(bad)} of the table "
+            f"the response {law.response_name} is no number in row {_row_number(frame, bad)} of the table "
             f"({_values_in(law.left.names, frame, bad)})"
         )
     start = law.start_values(frame, y)
@@ -68,8 +76,8 @@ def _empty_cells(frame: pd.DataFrame, name: str) -> InputIssue | None:
     if not bad.any():
         return None
     return InputIssue(
-        f"{np.count_nonzero(bad):,} of {len(bad):,} rows have no number here, first row {_first(bad)} of the "
-        "table; leave them out or fill them in",
+        f"{np.count_nonzero(bad):,} of {len(bad):,} rows have no number here, first row "
+        f"{_row_number(frame, bad)} of the table; leave them out or fill them in",
         column=name,
     )
 
@@ -83,20 +91,22 @@ def _check_start(law: TableLaw, frame: pd.DataFrame, start: Array) -> None:
     what = "is no number" if not np.isfinite(predicted[bad][0]) else "has a derivative that is no number"
     columns = [name for name in law.columns if name in law.right.names]
     raise InputError(
-        f"the law {law.name!r} {what} in {np.count_nonzero(bad):,} rows, first in row {_first(bad)} of the "
-        f"table ({_values_in(columns, frame, bad)}), at the start values {values}; give start= or bounds= "
+        f"the law {law.name!r} {what} in {np.count_nonzero(bad):,} rows, first in row "
+        f"{_row_number(frame, bad)} of the table ({_values_in(columns, frame, bad)}), "
+        f"at the start values {values}; give start= or bounds= "
         "where it is one"
     )
 
 
 def _values_in(names: Sequence[str], frame: pd.DataFrame, bad: BoolArray) -> str:
-    row = _first(bad) - 1
+    row = int(np.argmax(bad))
     return ", ".join(f"{name} = {number_column(frame, name)[row]:.6g}" for name in names)
 
 
-def _first(rows: BoolArray) -> int:
-    """The number of the first row that is true."""
-    return int(np.argmax(rows)) + 1
+def _row_number(frame: pd.DataFrame, rows: BoolArray) -> int:
+    """The number, from 1, of the first row that is true: its index, where rows have been left out."""
+    first = int(np.argmax(rows))
+    return 1 + (int(frame.index[first]) if pd.api.types.is_integer_dtype(frame.index) else first)
 
 
 def check_identifiable(law: TableLaw, frame: Rows, labels: Sequence[Any] | None, start: Array) -> None:
@@ -127,6 +137,8 @@ def check_identifiable(law: TableLaw, frame: Rows, labels: Sequence[Any] | None,
     first, second = (_null_space(jacobian, places, law.n_shared) for jacobian in jacobians)
     if len(first) == 0 or len(first) != len(second):
         return
+    if mistyped := _find_mistyped(law, frame, first):
+        raise InputError(mistyped)
     reasons = [
         _explain(law.parameter_names, (one, other), jacobians, points)
         for one, other in zip(first, second, strict=True)
@@ -259,13 +271,39 @@ def _products(names: Sequence[str], direction: Array) -> list[str]:
     return products
 
 
+def _find_mistyped(law: TableLaw, frame: Rows, null: Array) -> list[InputIssue]:
+    """Parameters that cannot be told from others and are columns but for their case or a letter."""
+    columns = [str(column) for column in frame]
+    names = {name: mistyped_column(name, columns) for name in _undeclared(law, null)}
+    return [explain_mistyped(name, other, columns) for name, other in names.items() if other]
+
+
+def explain_mistyped(name: str, other: str, columns: Sequence[str]) -> InputIssue:
+    """A name of a law that is almost a column."""
+    return InputIssue(
+        f"no column {name}; the table has {as_written(other)} (columns: {list_names(columns)}). If {name} is "
+        "a parameter, name it in the law's units, bounds or start"
+    )
+
+
+def list_names(names: Sequence[str]) -> str:
+    """Columns of a table, the first of them where there are many."""
+    shown = ", ".join(shorten(name) for name in names[:MAX_NAMES_SHOWN])
+    return shown + (f" and {len(names) - MAX_NAMES_SHOWN:,} more" if len(names) > MAX_NAMES_SHOWN else "")
+
+
 def _hints(law: TableLaw, frame: Rows, null: Array) -> str:
     """Parameters that may be mistyped columns."""
-    declared = {*law.source.units, *law.source.bounds, *law.source.start, *law.source.shared}
     hints = []
-    for k in np.flatnonzero(np.abs(null).max(axis=0) > 0):
-        name = law.parameter_names[k]
+    for name in _undeclared(law, null):
         similar = similar_name(name, [str(column) for column in frame])
-        if similar and name not in declared and len(name) >= MIN_NAME:
+        if similar and len(name) >= MIN_NAME:
             hints.append(f". {name} is no column and so taken for a parameter; did you mean {similar}?")
     return "".join(hints[:1])
+
+
+def _undeclared(law: TableLaw, null: Array) -> list[str]:
+    """Parameters that directions change, and of which the law says nothing but their names."""
+    declared = {*law.source.units, *law.source.bounds, *law.source.start, *law.source.shared}
+    changed = np.flatnonzero(np.abs(null).max(axis=0) > 0).tolist()
+    return [name for name in (law.parameter_names[k] for k in changed) if name not in declared]

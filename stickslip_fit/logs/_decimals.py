@@ -9,7 +9,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from stickslip_fit.errors import InputError
 from stickslip_fit.logs._table import FileTable, IssueCollector
 
 _WITH_COMMA = r"^[ \t]*[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?[ \t]*$"
@@ -73,35 +72,3 @@ def _find_first(columns: Mapping[str, pa.Array], pattern: str) -> FirstNumber | 
         if row >= 0:
             found.append(FirstNumber(row, name, cells[row].as_py()))
     return min(found, key=lambda first: first.row, default=None)
-
-
-def guess_dialect(raw: bytes) -> tuple[str, str]:
-    r"""What separates the cells of a table of any columns, and its decimal mark.
-
-    Without commas in the header it is what occurs there most of semicolons, tabs and bars. Only then numbers
-    may have decimal commas.
-
-    Raises
-    ------
-    InputError
-        If some numbers have decimal commas and others points.
-
-    Examples
-    --------
-    >>> guess_dialect(b"t;v\n0;1,5\n")
-    (';', ',')
-    """
-    text = raw.decode("utf-8", "replace")
-    header, _, body = text.partition("\n")
-    separator = max(";\t|", key=header.count)
-    if "," in header or separator not in header:
-        return ",", "."
-    cells = pa.array(body.replace("\r", "").replace("\n", separator).split(separator), pa.large_string())
-    decimals = find_decimals({"": cells})
-    if decimals.comma and decimals.point:
-        message = (
-            f"has numbers with decimal commas, as {decimals.comma.text!r}, and with points, as "
-            f"{decimals.point.text!r}; write all of them in one way"
-        )
-        raise InputError(message)
-    return separator, "," if decimals.comma else "."

@@ -322,6 +322,12 @@ def hash_sources(sources: Sequence[SourceFile]) -> str:
     return hashes[0] if len(hashes) == 1 else hashlib.sha256("\n".join(hashes).encode()).hexdigest()
 
 
+def find_foreign(raw: bytes) -> str | None:
+    """What a file is that is no table, and what to do about it; None for one that may be a table."""
+    found = (message for beginning, message in _FOREIGN_CONTENT.items() if re.match(beginning, raw))
+    return next(found, None)
+
+
 def _open_file(path: Path, issues: IssueCollector, sheet: str | None) -> SourceFile | None:
     file = format_path(path)
     try:
@@ -329,12 +335,11 @@ def _open_file(path: Path, issues: IssueCollector, sheet: str | None) -> SourceF
     except InputError as error:
         issues.add_error(error)
         return None
-    foreign = (message for beginning, message in _FOREIGN_CONTENT.items() if re.match(beginning, raw))
 
     def parse() -> FileTable | None:
         if is_workbook(raw):
             return parse_sheet(raw, file, sheet, issues)
-        if message := next(foreign, None):
+        if message := find_foreign(raw):
             issues.add(file, message)
             return None
         if path.suffix.lower() == ".parquet" or raw.startswith(b"PAR1"):

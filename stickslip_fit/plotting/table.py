@@ -107,6 +107,8 @@ def _direction_kinds(rows: pd.DataFrame, direction: str) -> dict[str, BoolArray]
     labels = direction_labels(rows[direction])
     sign = direction_sign(rows, direction, labels)
     names = labels[::-1] if len(labels) == 2 else (f"{direction} > 0", f"{direction} < 0")
+    if pd.api.types.is_numeric_dtype(rows[direction]) and len(labels) == 2:
+        names = (f"{direction} = {labels[1]}", f"{direction} = {labels[0]}")
     return {f"mean, {names[0]}": sign >= 0, f"mean, {names[1]}": sign < 0}
 
 

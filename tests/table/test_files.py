@@ -1,4 +1,4 @@
-"""Tables in files as spreadsheets write them."""
+"""Tables in files as spreadsheets, loggers and instruments write them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,15 @@ from stickslip_fit.diagnosis.table import read_table
 from stickslip_fit.errors import InputError
 
 TABLE = pd.DataFrame({"t": [0.0, 0.5, 1.0], "force": [1.25, -2.5, 3.0], "run": ["a", "b", "c, d"]})
+NUMBERS = pd.DataFrame({"t": [0.0, 0.5, 1.0], "force": [1250.25, -2.5, 3.0]})
+HEADER, BODY = "t,force\n", "0.0,1250.25\n0.5,-2.5\n1.0,3.0\n"
+
+
+def read(tmp_path, content, name="bench.csv"):
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    frame, source = read_table(path)
+    return frame, " ".join(source.get("notes", ()))
 
 
 @pytest.mark.parametrize(
@@ -20,6 +29,68 @@ def test_separators_and_decimal_commas_give_the_same_table(tmp_path, separator, 
     pd.testing.assert_frame_equal(read_table(path)[0].astype({"run": object}), TABLE.astype({"run": object}))
 
 
+@pytest.mark.parametrize(
+    ("content", "note"),
+    [
+        (HEADER + BODY, ""),
+        (f"# rig 3\n# operator: me\n{HEADER}{BODY}# end\n", ""),
+        (f"# t,force\n{BODY}", ""),
+        (f"Axis1\nSamples,120\nSampling interval (ms),0.667,0\n{HEADER}{BODY}", "3 lines above the header"),
+        (f"Rig: 3\nOperator: A, B\n\n{HEADER}s,mN\n{BODY}", "2 lines above the header left out; the row of"),
+        (f"{HEADER}[s],[kg·m/s²]\n{BODY}", "the row of units below the header"),
+        ("t,force,,\n" + BODY.replace("\n", ",,\n") + ",,,\n", ""),
+        (HEADER + BODY.replace("\n", ",\n"), ""),
+        ("  t   force\n 0.0 1250.25\n 0.5   -2.5\n 1.0    3.0\n", "separated by blank space"),
+        ("t force\n0,0 1250,25\n0,5 -2,5\n1,0 3,0\n", "decimals have commas"),
+        ('t,force\n0,"1,250.25"\n0.5,-2.5\n1,3\n', "numbers of force have thousands separators"),
+        ("t;force\n0;1.250,25\n0,5;-2,5\n1;3\n", "numbers of force have thousands separators"),
+        ("sep=;\nt;force\n0;1250.25\n0.5;-2.5\n1;3\n", ""),
+        ((HEADER + BODY).encode("utf-16"), ""),
+        (("\ufeff" + HEADER + BODY).replace("\n", "\r\n").encode(), ""),
+    ],
+)
+def test_what_laboratories_write_gives_the_same_table(tmp_path, content, note):
+    frame, said = read(tmp_path, content)
+    pd.testing.assert_frame_equal(frame, NUMBERS, check_dtype=False)
+    assert note in said if note else not said
+
+
+def test_text_that_is_no_utf_8_is_windows_1252(tmp_path):
+    frame, said = read(tmp_path, "T_°C,µ\n1,2\n2,3\n".encode("latin-1"))
+    assert list(frame) == ["T_°C", "µ"]
+    assert "Windows-1252" in said
+
+
+def test_row_names_of_r_are_a_column_without_a_name(tmp_path):
+    frame, _ = read(tmp_path, '"t" "force"\n"1" 0 1250.25\n"2" 0.5 -2.5\n"3" 1 3\n')
+    assert list(frame) == ["column 1", "t", "force"]
+    assert frame["force"].tolist() == NUMBERS["force"].tolist()
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("", "is empty"),
+        ("0,1\n1,2\n2,3\n", "has no header"),
+        ("t,force\n", "has a header and no rows"),
+        ("a,b\n1,2\n# why\n3\n4,5\n", "line 4, value '3': has 1 cell, and the table 2 columns"),
+        ("t;force\n0,5;1.25\n", "with decimal commas, as '0,5', and with points, as '1.25'"),
+        ("\x1f\x8b", "is packed with gzip"),
+        (b"t,force\n\x00\x01", "zero byte"),
+    ],
+)
+def test_what_is_no_table_has_one_clear_message(tmp_path, content, told):
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, content if isinstance(content, bytes) else content.encode("latin-1"))
+    assert told in str(caught.value)
+    assert "save it as CSV" not in str(caught.value)
+
+
+def test_a_comma_that_may_be_either_mark_is_no_number(tmp_path):
+    frame, _ = read(tmp_path, 't,force\n0,"1,250"\n1,"2,500"\n')
+    assert frame["force"].tolist() == ["1,250", "2,500"]
+
+
 def test_a_workbook_gives_the_same_table(tmp_path):
     pytest.importorskip("openpyxl")
     path = tmp_path / "bench.xlsx"
@@ -27,8 +98,9 @@ def test_a_workbook_gives_the_same_table(tmp_path):
     pd.testing.assert_frame_equal(read_table(path)[0], TABLE)
 
 
-def test_both_decimal_marks_in_one_file_are_one_message(tmp_path):
-    path = tmp_path / "bench.csv"
-    path.write_text("t;force\n0,5;1.25\n", encoding="utf-8")
-    with pytest.raises(InputError, match="with decimal commas, as '0,5', and with points, as '1\\.25'"):
-        read_table(path)
+def test_a_workbook_may_have_a_title_and_units(tmp_path):
+    pytest.importorskip("openpyxl")
+    path = tmp_path / "bench.xlsx"
+    rows = [["Rig 3", None], [None, None], ["t", "force"], ["s", "mN"], *NUMBERS.to_numpy().tolist()]
+    pd.DataFrame(rows).to_excel(path, index=False, header=False)
+    pd.testing.assert_frame_equal(read_table(path)[0], NUMBERS, check_dtype=False)

@@ -61,6 +61,39 @@ def test_text_json_page_and_law(desk):
     assert parameter["estimate"] == pytest.approx(fit.parameters["estimate"].iloc[-1], rel=1e-3)
 
 
+def test_a_formula_is_a_law(desk):
+    pd.read_csv("bench.csv").head(30).to_csv("short.csv", index=False)
+    done = run("short.csv", "--law", "F ~ Fv*vel + offset", "--time", "t")
+    assert done.exit_code == 0, done.output
+    headline = str(ssf.diagnose_table("short.csv", "F ~ Fv*vel + offset", time="t")).splitlines()[0]
+    assert done.stdout.splitlines()[0] == headline
+
+
+@pytest.mark.parametrize(
+    ("law", "told"),
+    [
+        ("F = a*vel", "a ~ is missing between the response and what it follows from"),
+        ("~/no-such-law.toml", "name an existing law file"),
+        ("law~1.toml", "name an existing law file"),
+    ],
+)
+def test_what_is_neither_a_formula_nor_a_file_is_named(desk, law, told):
+    assert told in str(run("bench.csv", "--law", law).exception)
+
+
+def test_a_law_file_may_have_a_tilde_in_its_name(desk):
+    (desk / "friction~1").write_text('formula = "F ~ Fv*vel"\n[roles]\ntime = "tea"\n', "utf-8")
+    assert "time= names it" in str(run("bench.csv", "--law", "friction~1").exception)
+
+
+def test_diagnose_of_a_table_that_is_no_log_ends_with_the_command_for_it(desk):
+    done = CliRunner().invoke(app, ["diagnose", "bench.csv"])
+    told = str(done.exception).splitlines()[-1]
+    assert told.endswith("stickslip-fit diagnose-table bench.csv --law 'F ~ a + b*t'")
+    (desk / "log.csv").write_text("session,joint,steps\na,1,1000\n", "utf-8")
+    assert "diagnose-table" not in str(CliRunner().invoke(app, ["diagnose", "log.csv"]).exception)
+
+
 def test_an_option_goes_before_the_law_file(desk):
     done = run("bench.csv", "--law", "friction.toml", "--time", "tea")
     assert isinstance(done.exception, ssf.InputError)

@@ -1,0 +1,152 @@
+"""Empty cells: which rows and columns are left out, and that the answer says so."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import stickslip_fit as ssf
+from stickslip_fit.diagnosis._json import diagnosis_to_json
+
+LAW, N = "y ~ a + b*x", 60
+
+
+@pytest.fixture
+def table():
+    rng = np.random.default_rng(0)
+    frame = pd.DataFrame({"t": np.arange(N) / 2, "x": rng.uniform(0, 5, N), "T": rng.standard_normal(N)})
+    return frame.assign(y=2 + 0.3 * frame["x"] + 0.5 * frame["T"] + 0.1 * rng.standard_normal(N))
+
+
+def diagnose(frame, law=LAW, **roles):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return ssf.diagnose_table(frame, law, gain=False, **roles)
+
+
+def put(frame, column, *cells):
+    """The table with these cells in the rows 4, 7, 10 and so on."""
+    changed = frame.assign(**{column: frame[column].astype(object)})
+    changed.loc[3 : 3 * len(cells) : 3, column] = cells
+    return changed
+
+
+def test_rows_without_a_response_are_left_out_and_named_as_in_the_table(table):
+    bad = put(table, "y", np.nan, "NA", " - ", "")
+    answer = diagnose(bad)
+    assert answer.table.rows == N - 4
+    assert "4 of 60 rows are left out, where y is empty: rows 4, 7, 10 and 13." in " ".join(
+        str(answer).split()
+    )
+    assert diagnosis_to_json(answer)["table"]["notes"] == list(answer.table.notes)
+    left = table.drop(index=[3, 6, 9, 12])
+    assert answer.p_value == diagnose(left).p_value
+
+
+def test_rows_of_a_fit_are_left_out_too(table):
+    fit = ssf.fit_table(put(table, "x", None), LAW)
+    pd.testing.assert_series_equal(
+        fit.parameters["estimate"], ssf.fit_table(table.drop(index=3), LAW).parameters["estimate"]
+    )
+
+
+@pytest.mark.parametrize("role", ["session", "time", "direction", "position", "group"])
+def test_rows_without_a_cell_of_a_role_are_left_out(table, role):
+    frame = table.assign(role=np.where(np.arange(N) % 2, -1.0, 1.0)).drop(columns="T")
+    answer = diagnose(put(frame, "role", np.nan), shared="all", **{role: "role"})
+    assert answer.table.notes[0] == "1 of 60 rows is left out, where role is empty: row 4."
+    assert answer.table.rows == N - 1
+
+
+def test_a_minus_is_a_value_of_a_direction_and_of_what_a_cause_acts_by(table):
+    ways = table.assign(way=np.where(np.arange(N) % 2, "-", "+"))
+    cause = ssf.Cause("lag", "+ k*x", "k", by="way")
+    answer = diagnose(ways, direction="way", causes=[cause])
+    assert answer.table.rows == N
+    assert answer.table.notes == ()
+    assert diagnose(put(ways, "way", ""), causes=[cause]).table.rows == N - 1
+
+
+def test_sessions_keep_their_names_beside_an_empty_cell(table):
+    frame = put(table.assign(run=np.repeat([1, 2], N // 2)), "run", None)
+    assert ssf.fit_table(frame, LAW, session="run").sessions == ("1", "2")
+
+
+def test_later_messages_count_rows_as_the_table_does(table):
+    bad = put(table, "y", np.nan, "over")
+    with pytest.raises(ssf.InputError, match="column y, value 'over': row 7 is no finite number"):
+        diagnose(bad)
+    with pytest.raises(ssf.InputError, match="no number in row 9 of the table"):
+        diagnose(
+            put(table, "x", np.nan).assign(y=np.where(np.arange(N) == 8, -1, 1 + table["T"] ** 2)),
+            "log(y) ~ a + b*x",
+        )
+
+
+def test_an_effect_of_a_column_with_few_empty_cells_is_found(table):
+    answer = diagnose(put(table, "T", np.nan, "nan"))
+    assert answer.findings[0].cause == "covariate:T"
+    assert answer.table.notes == ("2 of 60 rows are left out, where T is empty: rows 4 and 7.",)
+
+
+def test_a_column_with_many_empty_cells_is_left_out_and_named(table):
+    bad = put(table, "T", *[np.nan] * 7)
+    answer = diagnose(bad.assign(nothing=np.nan, note=""))
+    assert answer.table.rows == N
+    assert answer.table.notes == ("The column T is left out: 7 cells of 60 are empty.",)
+    assert answer.untestable["covariate:T"] == "7 of its cells are empty or infinite"
+
+
+def test_an_infinite_cell_of_a_column_is_a_gap(table):
+    answer = diagnose(put(table, "T", np.inf, None))
+    assert answer.table.notes == ("2 of 60 rows are left out, where T is empty or infinite: rows 4 and 7.",)
+
+
+def test_a_column_of_numbers_with_a_text_in_it_is_named(table):
+    answer = diagnose(put(table, "T", None, "over").assign(note="good"))
+    assert answer.table.notes == ("The column T is left out: 'over' in row 7 is no number.",)
+    assert answer.table.rows == N
+
+
+def test_empty_rows_and_columns_need_no_word(table):
+    bad = table.assign(nothing=np.nan)
+    bad.loc[[3, 8]] = np.nan
+    answer = diagnose(bad)
+    assert answer.table.notes == ()
+    assert answer.table.rows == N - 2
+
+
+def test_a_needed_column_that_is_empty_is_refused(table):
+    with pytest.raises(ssf.InputError, match="column y: is empty in every row"):
+        diagnose(table.assign(y=np.nan))
+
+
+def test_rows_that_are_left_out_keep_their_place_in_the_order(table):
+    whole, gap = (diagnose(frame, time="order") for frame in (table, put(table, "y", *[np.nan] * 2)))
+    seconds = gap.selection.problem.rows["session_seconds"].tolist()
+    assert seconds == [one for one in whole.selection.problem.rows["session_seconds"] if one not in (3, 6)]
+
+
+def test_an_overflow_of_an_instrument_is_an_empty_cell(table):
+    answer = diagnose(put(table, "y", 9.9e37).astype(float), time="t")
+    assert answer.table.rows == N - 1
+    assert "9.9e+37 in y is how instruments mark an overflow, and counts as empty." in answer.table.notes
+
+
+def test_a_value_beside_which_all_others_vanish_is_refused(table):
+    with pytest.raises(ssf.InputError, match=r"column y, value '1e\+30': row 4 is more than 1e\+15 times"):
+        diagnose(put(table, "y", 1e30).astype(float), time="t")
+
+
+def test_a_constant_response_is_refused_in_these_words(table):
+    with pytest.raises(ssf.InputError, match="the response is constant: y is 3 in every row"):
+        diagnose(table.assign(y=3.0), time="t")
+
+
+def test_an_exact_fit_and_sessions_without_scatter_end_without_a_warning(table):
+    assert diagnose(table.assign(y=2 + 3 * table["x"]), time="t").verdict == "nothing wrong"
+    short = table.assign(s=np.repeat([f"s{k}" for k in range(25)], [2] * 15 + [3] * 10))
+    assert diagnose(short, session="s").table.rows == N
