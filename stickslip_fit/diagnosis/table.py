@@ -9,6 +9,7 @@ estimated and removed (`autocorrelation`).
 from __future__ import annotations
 
 import hashlib
+import re
 import time as clock
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -58,6 +59,13 @@ MAX_MEAN_DIRECTIONS, ROWS_PER_MEAN_DIRECTION = 30, 12  # of candidates, while th
 MAX_RATIO = 1e15  # of a response to their median, beside which the others are lost in rounding
 # Of the noise, relative to the responses' standard deviation and to the largest of them; less is rounding.
 MIN_RELATIVE_SD, ROUNDING = 1e-9, 1e-13
+TIME_UNITS = {  # and endings of names, in lower case
+    "ms": {"ms", "millis", "milliseconds"},
+    "min": {"min", "mins", "minute", "minutes"},
+    "h": {"h", "hr", "hrs", "hour", "hours"},
+    "days": {"d", "day", "days"},
+    "years": {"yr", "year", "years"},
+}
 NO_TIME = "no column was named as the time; where rows stand in the order of measurement, say time='order'"
 N_REFITS = 4
 PARAMETER_LETTERS = "abcd"  # names of a formula that look like parameters
@@ -97,7 +105,8 @@ def diagnose_table(
     session : str, optional
         Column whose values share the law's own parameters; one session without it.
     time : str, optional
-        Column of times of day, or of numbers, in seconds unless the law's `units` say otherwise. ``"order"``:
+        Column of times of day, or of numbers: in the unit that the law's `units` give, or else the ending of the
+        column's name (``t_min``, ``t (h)``), else in seconds. ``"order"``:
         rows stand in the order in which they were measured. Without it their order means nothing, and
         nothing that needs time is tested.
     position, direction, group : str, optional
@@ -338,9 +347,23 @@ def describe_table(problem: DiagnosisProblem, searched: DiagnosisProblem, roles:
 
 
 def _time_unit(law: Any, table: pd.DataFrame, time: str | None) -> str:
-    """The declared unit of a time column of numbers; seconds where none is declared."""
-    is_number = time in table and pd.api.types.is_numeric_dtype(table[time])
-    return str((getattr(law, "units", None) or {}).get(time, "s")) if is_number else "s"
+    """The unit of a time column of numbers: as declared, as its name ends, or seconds."""
+    if time not in table or not pd.api.types.is_numeric_dtype(table[time]):
+        return "s"
+    declared = (getattr(law, "units", None) or {}).get(time)
+    return str(declared) if declared else unit_of_name(str(time))
+
+
+def unit_of_name(name: str) -> str:
+    """The unit of time that a column's name ends in; seconds where it ends in none.
+
+    Examples
+    --------
+    >>> [unit_of_name(name) for name in ("t", "time_min", "t (ms)", "Time [h]", "Year", "elapsed days")]
+    ['s', 'min', 'ms', 'h', 'years', 'days']
+    """
+    ending = re.split(r"[\s_\[(/]+", name.strip(" ])").lower())[-1]
+    return next((unit for unit, names in TIME_UNITS.items() if ending in names), "s")
 
 
 def read_table(
