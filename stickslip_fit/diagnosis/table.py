@@ -105,10 +105,10 @@ def diagnose_table(
     session : str, optional
         Column whose values share the law's own parameters; one session without it.
     time : str, optional
-        Column of times of day, or of numbers: in the unit that the law's `units` give, or else the ending of the
-        column's name (``t_min``, ``t (h)``), else in seconds. ``"order"``:
-        rows stand in the order in which they were measured. Without it their order means nothing, and
-        nothing that needs time is tested.
+        Column of times of day, or of numbers: in the unit that the law's `units` give, else in that in which
+        the column's name ends (``t_min``, ``t (h)``), else in seconds. ``"order"``: rows stand in the order
+        in which they were measured. Without it their order means nothing, and nothing that needs time is
+        tested.
     position, direction, group : str, optional
         Columns of where something stands, of which way it moves (two values, or numbers whose signs count),
         and of what belongs together.
