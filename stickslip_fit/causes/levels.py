@@ -33,7 +33,7 @@ from stickslip_fit.causes.parameters import CauseParameter, SizedParameter, Size
 from stickslip_fit.causes.table_cause import Effect
 from stickslip_fit.errors import InputIssue, shorten
 from stickslip_fit.laws import Rows, TableLaw
-from stickslip_fit.units import TableUnit
+from stickslip_fit.units import Z_95, Interval, TableUnit
 
 MIN_POOLED = 5  # labels whose effects have a common prior
 MAX_LEVELS, MIN_ROWS_PER_LEVEL = 12, 3  # of a column of integers, and for other parameters; rows, on average
@@ -197,6 +197,19 @@ class PooledLevels(LevelCause):
     def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
         """See `GenericCause`: each level by itself."""
         return [(self, np.diag(self.scale))]
+
+    def summarize(self, values: Array, covariance: Array) -> tuple[SizedParameter, ...]:
+        """Each parameter beside the mean of the labels, by the values (q,) and their covariance (q, q).
+
+        Beside the mean of all labels that there might be they are known less well than among themselves.
+        """
+        number = len(self.levels)
+        centre = np.kron(np.eye(len(values) // number), np.eye(number) - 1.0 / number)
+        beside, error = centre @ values, np.sqrt(np.maximum(np.diag(centre @ covariance @ centre), 0.0))
+        return tuple(
+            SizedParameter(one.name, one.unit, Interval(value, value - Z_95 * sd, value + Z_95 * sd))
+            for one, value, sd in zip(self.parameters, beside, error, strict=True)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

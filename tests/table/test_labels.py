@@ -38,6 +38,10 @@ def test_pooled_offsets_are_those_of_a_mixed_model(number, rows, name, seed):
     expected = {f"d[{level}]": float(effect.iloc[0]) for level, effect in model.random_effects.items()}
     found = {one.name: one.size.estimate for one in finding.parameters}
     assert found == pytest.approx(expected, abs=0.03)
+    left = model.scale / rows
+    sd = np.sqrt(model.cov_re.iloc[0, 0] * left / (model.cov_re.iloc[0, 0] + left) * (1.0 - 1.0 / number))
+    lengths = [one.size.high - one.size.low for one in finding.parameters]
+    assert np.mean(lengths) == pytest.approx(2 * 1.96 * sd, rel=0.1)
     # As a mixed model predicts one more row of a known lot: its noise, and the error of the lot's offset.
     ideal = np.sqrt(model.scale * (1.0 + 1.0 / (rows - 1.0)))
     assert diagnosis.gain.extended == pytest.approx(ideal, rel=0.2)
