@@ -97,7 +97,11 @@ KINDS = ("normal", "Student t", "AR(1)", "swing", "uneven", "skewed")
 
 
 def draw_nothing(seed: int) -> tuple[str, pd.DataFrame]:
-    """The kind of noise, and a table of 30 to 220 rows: a line, a decoy of numbers and one of texts."""
+    """The kind of noise, and a table of 30 to 220 rows: a line, and decoys.
+
+    They are of numbers, of few texts, of few integers, one after the other in every other table, and of many
+    texts.
+    """
     rng, kind = np.random.default_rng(seed), KINDS[seed % len(KINDS)]
     n = int(rng.integers(30, 220))
     x, z, noise = rng.uniform(0.0, 10.0, n), rng.standard_normal(n), rng.standard_normal(n + 200)
@@ -110,10 +114,10 @@ def draw_nothing(seed: int) -> tuple[str, pd.DataFrame]:
     elif kind == "skewed":
         noise = np.exp(0.5 * noise)
     noise = noise[-n:] * (0.5 + x / 5.0 if kind == "uneven" else 1.0)
-    who = rng.choice(["a", "b", "c"], n)
-    return kind, pd.DataFrame(
-        {"t": 0.5 * np.arange(n), "x": x, "z": z, "who": who, "y": 2.0 + 0.3 * x + noise}
-    )
+    who, lot = rng.choice(["a", "b", "c"], n), rng.integers(1, 7, n)
+    decoys = {"z": z, "who": who, "lot": np.sort(lot) if seed // len(KINDS) % 2 else lot}
+    decoys["part"] = rng.choice([f"part {number}" for number in range(20)], n)
+    return kind, pd.DataFrame({"t": 0.5 * np.arange(n), "x": x, **decoys, "y": 2.0 + 0.3 * x + noise})
 
 
 def count_alarms(first: int, number: int) -> None:

@@ -1,38 +1,69 @@
-"""Causes of a column of texts, such as a specimen, an operator or a state: what differs between its values.
+"""Causes of a column of labels, such as a specimen, an operator or a lot: what differs between its values.
 
 Either the response is higher at some of them by a constant, or the law's own parameters are not the same:
 the analysis of covariance (R. A. Fisher, Statistical Methods for Research Workers, 1932), for any law.
+
+Labels are texts, or few integers, which may as well be a quantity: both are tried. The offsets of
+`MIN_POOLED` labels or more have a normal prior of common size, so that many of them cost no more than they
+tell; the size of fewer can hardly be known (A. Gelman and J. Hill, Data Analysis Using Regression and
+Multilevel/Hierarchical Models, 2007, section 12.9). So have other parameters of three labels or more, which
+are many and hardly ever known one by one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._format import format_measured, join_words
+from stickslip_fit._format import format_measured, format_significant, join_words
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.generic import AddedTerm, CovariateCause, GenericCause, Term, linear_term
+from stickslip_fit.causes.generic import (
+    AddedTerm,
+    ColumnDependence,
+    CovariateCause,
+    GenericCause,
+    Term,
+    linear_term,
+)
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter, Sizes
 from stickslip_fit.causes.table_cause import Effect
 from stickslip_fit.errors import InputIssue, shorten
 from stickslip_fit.laws import Rows, TableLaw
-from stickslip_fit.units import TableUnit
+from stickslip_fit.units import Z_95, Interval, TableUnit
 
-MAX_LEVELS, MIN_ROWS_PER_LEVEL = 12, 3  # of a column; rows, on average
+MIN_POOLED = 5  # labels whose effects have a common prior
+MAX_LEVELS, MIN_ROWS_PER_LEVEL = 12, 3  # of a column of integers, and for other parameters; rows, on average
+MAX_POOLED, MIN_ROWS_PER_POOLED = 60, 2  # of a column of texts
+MAX_NAMED = 12  # labels in a message
+
+
+def name_levels(cells: Any) -> Array:
+    """The label in each cell, shape (n,); of a number without decimals that are 0.
+
+    Examples
+    --------
+    >>> name_levels(np.array([1.0, 2.0])).tolist(), name_levels(["old", "new"]).tolist()
+    (['1', '2'], ['old', 'new'])
+    """
+    values = np.asarray(cells)
+    if values.dtype.kind == "f":
+        values = np.array([int(one) if float(one).is_integer() else one for one in values], dtype=object)
+    return values.astype(object).astype(str)
 
 
 def find_levels(cells: pd.Series) -> tuple[str, ...]:
-    """The values of a column of texts in their order of appearance.
+    """The labels of a column in their order of appearance.
 
     Examples
     --------
     >>> find_levels(pd.Series(["old", "new", "old"]))
     ('old', 'new')
     """
-    return tuple(map(str, cells.astype(object).astype(str).unique()))
+    return tuple(map(str, pd.unique(name_levels(cells))))
 
 
 def explain_unusable_levels(cells: pd.Series) -> str | None:
@@ -42,14 +73,21 @@ def explain_unusable_levels(cells: pd.Series) -> str | None:
     number = len(find_levels(cells))
     if number < 2:
         return "it is the same in every row"
-    if number > MAX_LEVELS or number * MIN_ROWS_PER_LEVEL > len(cells):
+    if number > MAX_POOLED or number * MIN_ROWS_PER_POOLED > len(cells):
         return f"it has {number:,} different texts in {len(cells):,} rows"
     return None
 
 
+def may_be_labels(cells: pd.Series) -> bool:
+    """Whether a column of finite numbers may be one of labels: few integers, each in several rows."""
+    number = cells.nunique()
+    few = number <= MAX_LEVELS and number * MIN_ROWS_PER_LEVEL <= len(cells)
+    return bool(few and np.all(np.asarray(cells, float) % 1 == 0))
+
+
 @dataclass(frozen=True, kw_only=True)
 class LevelCause(CovariateCause):
-    """Something differs between the values of a column of texts.
+    """Something differs between the values of a column of labels.
 
     Attributes
     ----------
@@ -84,23 +122,99 @@ class LevelCause(CovariateCause):
         """What keeps rows from being predicted: no such column, or a value of it that was never fitted."""
         if self.column not in frame:
             return [InputIssue("the table has no such column, and the law needs it", column=self.column)]
-        cells = frame[self.column].astype(object).astype(str).reset_index(drop=True)
+        cells = pd.Series(name_levels(frame[self.column]))
         unknown = cells[~cells.isin(self.levels)].drop_duplicates()
-        known = ", ".join(map(shorten, self.levels))
+        known = ", ".join(map(shorten, self.levels[:MAX_NAMED])) + " ..." * (len(self.levels) > MAX_NAMED)
         return [
             InputIssue(f"row {row + 1}: the law was fitted to {known} only", column=self.column, value=value)
             for row, value in unknown.items()
         ]
 
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The levels with values of their own."""
+        return self.levels[1:]
+
+    @property
+    def beside(self) -> str:
+        """What the others are compared with."""
+        return self.levels[0]
+
+    @property
+    def prior_sds(self) -> tuple[float, ...]:
+        """Of each parameter."""
+        return (np.inf,) * len(self.scale)
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `GenericCause`: each level by itself, the first one by all others, so that none is special."""
+        scale = np.array(self.scale).reshape(-1, len(self.named))
+        others = np.kron(np.diag(scale[:, 0]), np.full(len(self.named), -1.0))
+        return [(self, np.concatenate([np.diag(scale.ravel()), others]))]
+
     def indicators(self, rows: Rows) -> Array:
-        """1 in the rows of each level but the first, shape (n, levels - 1)."""
-        cells = np.asarray(rows[self.column], dtype=object).astype(str)
-        return (cells[:, None] == np.array(self.levels[1:])).astype(float)
+        """1 in the rows of each level with values of its own, shape (n, number of them).
+
+        A level that was not fitted, as of rows that were held out, is expected to be as the mean of all.
+        """
+        cells = name_levels(rows[self.column])
+        known = np.isin(cells, self.levels)[:, None]
+        return np.where(known, cells[:, None] == np.array(self.named), self._unknown)
+
+    @property
+    def _unknown(self) -> float:
+        return 1.0 / len(self.levels)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PooledLevels(LevelCause):
+    """What differs between levels has a normal prior about zero, of one size for all of them.
+
+    Attributes
+    ----------
+    amplitude : float
+        The prior's standard deviation, in units of `scale`.
+    """
+
+    amplitude: float = 1.0
+
+    beside = "the mean of all"
+    _unknown = 0.0
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """See `LevelCause`: all of them."""
+        return self.levels
+
+    @property
+    def prior_sds(self) -> tuple[float, ...]:
+        """See `LevelCause`; what has no effect at all has no prior."""
+        return tuple(self.amplitude * one if one > 0 else np.inf for one in self.scale)
+
+    def with_amplitude(self, amplitude: float) -> Self:
+        """The same with another size of the prior."""
+        return replace(self, amplitude=float(amplitude))
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `GenericCause`: each level by itself."""
+        return [(self, np.diag(self.scale))]
+
+    def summarize(self, values: Array, covariance: Array) -> tuple[SizedParameter, ...]:
+        """Each parameter beside the mean of the labels, by the values (q,) and their covariance (q, q).
+
+        Beside the mean of all labels that there might be they are known less well than among themselves.
+        """
+        number = len(self.levels)
+        centre = np.kron(np.eye(len(values) // number), np.eye(number) - 1.0 / number)
+        beside, error = centre @ values, np.sqrt(np.maximum(np.diag(centre @ covariance @ centre), 0.0))
+        return tuple(
+            SizedParameter(one.name, one.unit, Interval(value, value - Z_95 * sd, value + Z_95 * sd))
+            for one, value, sd in zip(self.parameters, beside, error, strict=True)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class LevelDependence(LevelCause, AddedTerm):
-    """Each value of a column of texts has an offset of its own."""
+    """Each value of a column of labels has an offset of its own."""
 
     @property
     def sentence(self) -> str:  # type: ignore[override]
@@ -109,22 +223,35 @@ class LevelDependence(LevelCause, AddedTerm):
             return (
                 "The response is {d:higher|lower} by {d} where {column} is {others} than where it is {first}"
             )
-        return "The response is not the same for every {column}"
+        return (
+            "The response is not the same for every {column}: about {apart} apart from {lowest}, where it is "
+            "lowest, to {highest}"
+        )
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `GenericCause`: of more than two levels the extremes."""
+        if len(self.levels) == 2:
+            return super().quantities(sizes)
+        own = {level: sizes[f"d[{level}]"].size.estimate for level in self.named}
+        own = dict.fromkeys(self.levels, 0.0) | own
+        lowest, highest = min(own, key=own.__getitem__), max(own, key=own.__getitem__)
+        apart = f"{format_significant(own[highest] - own[lowest])} {self.unit}".rstrip()
+        return {"column": self.column, "lowest": lowest, "highest": highest, "apart": apart}
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return (self.size,) * len(self.named)
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `GenericCause`: the first level has none."""
-        unit, first = TableUnit(self.unit), self.levels[0]
-        names = ["d"] if len(self.levels) == 2 else [f"d[{level}]" for level in self.levels[1:]]
+        """See `GenericCause`."""
+        unit = TableUnit(self.unit)
+        names = ["d"] if len(self.levels) == 2 else [f"d[{level}]" for level in self.named]
         return tuple(
-            CauseParameter(name, unit, f"offset of {self.column} {level} beside {first}")
-            for name, level in zip(names, self.levels[1:], strict=True)
+            CauseParameter(name, unit, f"offset of {self.column} {level} beside {self.beside}", prior_sd=sd)
+            for name, level, sd in zip(names, self.named, self.prior_sds, strict=True)
         )
-
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
-        """See `GenericCause`: offsets, and other parameters of the law."""
-        versions: list[GenericCause] = [self, ParametersByLevel(**vars(self))]
-        return [(one, np.diag(one.scale)) for one in versions]
 
     def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""
@@ -133,7 +260,7 @@ class LevelDependence(LevelCause, AddedTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class ParametersByLevel(LevelCause):
-    """The law's parameters are not the same at all values of a column of texts."""
+    """The law's parameters are not the same at all values of a column of labels."""
 
     @property
     def sentence(self) -> str:  # type: ignore[override]
@@ -142,23 +269,23 @@ class ParametersByLevel(LevelCause):
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `GenericCause`: parameter by parameter, the first level has none."""
-        two, first = len(self.levels) == 2, self.levels[0]
+        """See `GenericCause`: parameter by parameter."""
+        each = [(own, level) for own in self.law.parameters for level in self.named]
         return tuple(
             CauseParameter(
-                own.name if two else f"{own.name}[{level}]",
+                own.name if len(self.levels) == 2 else f"{own.name}[{level}]",
                 own.unit,
-                f"change of {own.name} at {self.column} {level} beside {first}",
+                f"change of {own.name} at {self.column} {level} beside {self.beside}",
+                prior_sd=sd,
             )
-            for own in self.law.parameters
-            for level in self.levels[1:]
+            for (own, level), sd in zip(each, self.prior_sds, strict=True)
         )
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `GenericCause`: as large an effect on the response by each parameter."""
         each = [self.size / slope if slope > 0 else 0.0 for slope in self.slopes]
-        return tuple(np.repeat(each, len(self.levels) - 1).tolist())
+        return tuple(np.repeat(each, len(self.named)).tolist())
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `GenericCause`."""
@@ -174,7 +301,7 @@ class ParametersByLevel(LevelCause):
         """See `TableCause`: the law with other parameters less the law."""
         inside, own_names = self.indicators(rows), self.law.parameter_names
         by = tuple(dict.fromkeys([*own_names, *(name for name in variable if name in self.law.right.names)]))
-        function, n, width = self.law.right.function(by), len(inside), len(self.levels) - 1
+        function, n, width = self.law.right.function(by), len(inside), len(self.named)
 
         def effect(state: Mapping[str, Array], values: Array) -> tuple[Array, Array, Mapping[str, Array]]:
             known = {name: state[name] for name in self.law.right.names if name in state}
@@ -196,16 +323,68 @@ class ParametersByLevel(LevelCause):
         return np.asarray(own @ trials.T)
 
 
+@dataclass(frozen=True, kw_only=True)
+class PooledOffsets(PooledLevels, LevelDependence):
+    """As `LevelDependence`, of many levels."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PooledParameters(PooledLevels, ParametersByLevel):
+    """As `ParametersByLevel`, of many levels."""
+
+    sentence = "The law has other parameters for every {column}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelDependence(LevelDependence):
+    """The response depends on a column of labels in any of these ways."""
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `GenericCause`: offsets, and other parameters of the law; levels without rows are left out."""
+        own = set(name_levels(rows[self.column]))
+        levels = tuple(level for level in self.levels if level in own)
+        if len(levels) < 2:
+            return []
+        n = len(levels)
+        kinds: list[type[LevelCause]] = [PooledOffsets if n >= MIN_POOLED else LevelDependence]
+        same_in_all_rows = set(self.law.right.names) <= set(self.law.parameter_names)  # and so are offsets
+        if not same_in_all_rows and n <= MAX_LEVELS and n * MIN_ROWS_PER_LEVEL <= len(rows):
+            kinds.append(PooledParameters if n > 2 else ParametersByLevel)
+        versions = [kind(**(vars(self) | {"levels": levels})) for kind in kinds]
+        return [trial for one in versions for trial in one.trials(rows)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntegerDependence(ColumnDependence):
+    """The response depends on a column of few integers, which are a quantity or labels.
+
+    Attributes
+    ----------
+    as_labels : LabelDependence
+        What may differ if they are labels.
+    """
+
+    as_labels: LabelDependence
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `GenericCause`: a simple curve, and those of labels, as a curve that bends more is."""
+        labelled = self.as_labels.trials(rows)
+        if len(self.as_labels.levels) == 2:  # the same but for the words
+            return labelled
+        quantity = ColumnDependence(**{one.name: getattr(self, one.name) for one in fields(ColumnDependence)})
+        return [*quantity.trials(rows)[:1], *labelled]
+
+
 def level_causes(
     columns: Sequence[str], rows: pd.DataFrame, law: TableLaw, y: Array, unit: str, size: float
-) -> list[LevelDependence]:
-    """A cause for each column of texts; `size` as of a `GenericCause`."""
+) -> list[LabelDependence]:
+    """A cause for each column of labels; `size` as of a `GenericCause`."""
     if not columns:
         return []
     slopes = law.jacobian(rows, np.tile(law.start_values(rows, y), (len(rows), 1)))
     rms = tuple(np.sqrt(np.mean(np.nan_to_num(slopes) ** 2, axis=0)).tolist())
     return [
-        LevelDependence(
+        LabelDependence(
             unit=unit, size=size, column=name, levels=find_levels(rows[name]), law=law, slopes=rms
         )
         for name in columns

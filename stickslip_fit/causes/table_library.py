@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -23,7 +24,13 @@ from stickslip_fit.causes.generic import (
     SuddenChange,
     WarmUp,
 )
-from stickslip_fit.causes.levels import explain_unusable_levels, level_causes
+from stickslip_fit.causes.levels import (
+    IntegerDependence,
+    LabelDependence,
+    explain_unusable_levels,
+    level_causes,
+    may_be_labels,
+)
 from stickslip_fit.causes.periodic import PeriodicPosition
 from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, direction_labels
 
@@ -49,14 +56,17 @@ def generic_causes(rows: pd.DataFrame, law: Any, roles: TableRoles) -> tuple[Gen
             both.append(kind(unit=unit, size=size, longest=longest, time_unit=roles.time_unit))
         both.append(SuddenChange(unit=unit, size=size, time_unit=roles.time_unit))
     columns = covariate_columns(rows, law, roles)
-    texts = [name for name in columns if not is_numeric(rows[name])]
-    for column in (name for name in columns if name not in texts):
+    numbers = [name for name in columns if is_numeric(rows[name])]
+    for column in numbers:
         both.append(ColumnDependence(unit=unit, size=size, **_range(rows[column], COVARIATE_ORDER)))
     if roles.position and rows[roles.position].nunique() > 1:
         place = _range(rows[roles.position], POSITION_ORDER)
         both.append(PositionDependence(unit=unit, size=size, **place))
         both.append(PeriodicPosition(unit=unit, size=size, column=roles.position, low=place["low"]))
-    causes = [*both, *level_causes(texts, rows, law, y, unit, size)]
+    named = [name for name in columns if name not in numbers or may_be_labels(rows[name])]
+    labelled = {one.column: one for one in level_causes(named, rows, law, y, unit, size)}
+    causes = [_with_labels(cause, labelled) for cause in both]
+    causes += [cause for column, cause in labelled.items() if column not in numbers]
     sessions = tuple(map(str, rows["session"].unique()))
     if law.n_shared and 1 < len(sessions) <= MAX_SESSIONS:
         causes.append(SessionOffset(unit=unit, size=size, sessions=sessions))
@@ -66,6 +76,13 @@ def generic_causes(rows: pd.DataFrame, law: Any, roles: TableRoles) -> tuple[Gen
         causes.append(DirectionOffset(unit=unit, size=size, direction=roles.direction, labels=labels))
         causes += [opposite(cause) for cause in both]
     return (*causes, OutlyingValues(unit=unit, size=size))
+
+
+def _with_labels(cause: GenericCause, labelled: Mapping[str, LabelDependence]) -> GenericCause:
+    """The cause, or that of its column of integers that may as well be labels."""
+    if type(cause) is not ColumnDependence or cause.column not in labelled:
+        return cause
+    return IntegerDependence(**vars(cause), as_labels=labelled[cause.column])
 
 
 def _range(cells: pd.Series[Any], order: int) -> dict[str, Any]:

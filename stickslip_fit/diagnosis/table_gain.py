@@ -3,7 +3,9 @@
 Neighbouring values of a signal resemble each other, so that a held-out row between two that were kept
 would measure the signal's smoothness, not the law: what is held out is long against the autocorrelation
 time (J. Racine, J. Econometrics 99:39, 2000). A block without which a parameter or a cause would no longer
-be determined stays in training. Errors are those of the response, not of its innovations.
+be determined stays in training; so does the last block of a label whose own offset or parameters are in the
+law, as a law with values for each label is made for labels that are known. Whole groups or sessions are held
+out with all their labels. Errors are those of the response, not of its innovations.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import pandas as pd
 from stickslip_fit._format import pluralize
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes.levels import LevelCause, name_levels
 from stickslip_fit.diagnosis.cross_validation import (
     MAX_UNKNOWN_SHARE,
     MIN_KNOWN_STRENGTH,
@@ -32,7 +35,7 @@ from stickslip_fit.diagnosis.cross_validation import (
 from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo
 from stickslip_fit.diagnosis.gain import FOLD_SEED, estimate_gain, select_in_fold
 from stickslip_fit.diagnosis.hypotheses import compute_changes
-from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
+from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit, split_positions
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection
 
@@ -70,8 +73,10 @@ def measure_table_gain(
 
     order = list(dict.fromkeys(problem.rows["session"].astype(object)))
 
-    def estimate(kinds: IntArray, held_out: str) -> tuple[Gain, tuple[Finding, ...]] | None:
-        folds = hold_out_kinds(selection, linearized, kinds)
+    def estimate(
+        kinds: IntArray, held_out: str, labels: Sequence[IntArray] = ()
+    ) -> tuple[Gain, tuple[Finding, ...]] | None:
+        folds = hold_out_kinds(selection, linearized, kinds, labels)
         if not folds:
             return None
         gain, own = estimate_gain(
@@ -97,7 +102,8 @@ def measure_table_gain(
     if groups:
         measured = estimate(pd.factorize(problem.rows[groups])[0], f"whole groups ({groups})")
     if measured is None:
-        measured = estimate(*number_time_blocks(problem.rows, table.correlation_rows))
+        labels = _number_labels(selection)
+        measured = estimate(*number_time_blocks(problem.rows, table.correlation_rows, labels), labels)
     sessions = pd.factorize(problem.rows["session"].astype(object))[0]
     is_shared = all(part.values.shape[1] == problem.n_shared for part in problem.parts)
     if is_shared and groups != table.roles.get("session") and sessions.max() + 1 >= MIN_SESSIONS:
@@ -113,8 +119,19 @@ def _describe(gain: Gain, held_out: str, sessions: Sequence[str]) -> Gain:
     return replace(gain, by_session=by_session, held_out=held_out)
 
 
-def number_time_blocks(rows: pd.DataFrame, correlation_rows: float) -> tuple[IntArray, str]:
-    """A number for each block of consecutive rows, shape (n,), and what a block is, in words."""
+def _number_labels(selection: Selection) -> list[IntArray]:
+    """A number for each label of the columns whose labels have values of their own in the law; each (n,)."""
+    columns = [one.version.column for one in selection.law_causes if isinstance(one.version, LevelCause)]
+    return [pd.factorize(name_levels(selection.problem.rows[column]))[0] for column in columns]
+
+
+def number_time_blocks(
+    rows: pd.DataFrame, correlation_rows: float, labels: Sequence[IntArray] = ()
+) -> tuple[IntArray, str]:
+    """A number for each block of consecutive rows, shape (n,), and what a block is, in words.
+
+    Each label stands in several blocks; `labels` are as of `hold_out_kinds`.
+    """
     n = len(rows)
     sequence = pd.factorize(rows["sequence" if "sequence" in rows else "session"].astype(object))[0]
     longest = max(n // MIN_BLOCKS, 1)
@@ -127,15 +144,23 @@ def number_time_blocks(rows: pd.DataFrame, correlation_rows: float) -> tuple[Int
     number = np.maximum(size // length, np.minimum(MIN_SEQUENCE_BLOCKS, size))
     keys = np.column_stack([sequence, place * number // size])
     kinds = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+    for own in (inside for label in labels for inside in split_positions(label)):
+        least = min(MIN_SEQUENCE_BLOCKS, len(own))
+        if len(np.unique(kinds[own])) < least:
+            kinds[own] = kinds.max() + 1 + np.arange(len(own)) * least // len(own)
+    kinds = np.unique(kinds, return_inverse=True)[1]
     length = int(np.median(np.bincount(kinds)))
     return kinds, f"blocks of about {pluralize(length, 'consecutive row')}"
 
 
-def hold_out_kinds(selection: Selection, linearized: LinearizedFit, kinds: IntArray) -> list[Split]:
+def hold_out_kinds(
+    selection: Selection, linearized: LinearizedFit, kinds: IntArray, labels: Sequence[IntArray] = ()
+) -> list[Split]:
     """Hold out every kind of row once, except those without which something is not determined.
 
     `linearized` is the baseline. Parameters may belong to a session or to the whole table, so that the
-    information in the rows of a fold is one matrix over all of them.
+    information in the rows of a fold is one matrix over all of them. `labels`, each of shape (n,), are
+    numbers all of which have to stay in training.
     """
     basis, effects = linearized.basis.toarray(), _effects(selection, linearized)
     whole = np.sum(effects**2, axis=0)
@@ -145,6 +170,8 @@ def hold_out_kinds(selection: Selection, linearized: LinearizedFit, kinds: IntAr
 
     def try_add(fold: int, rows: IntArray) -> bool:
         together = np.concatenate([held[fold], rows])
+        if any(len(np.unique(np.delete(own, together))) <= own.max() for own in labels):
+            return False
         if not _is_determined(basis[together], effects[together], whole, least):
             return False
         held[fold] = together

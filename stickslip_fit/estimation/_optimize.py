@@ -99,6 +99,7 @@ def usable_rows(log: Log) -> pd.DataFrame:
 # Summing J' J squares the condition number; beyond this ratio of eigenvalues too few digits are left, and the
 # group's own Jacobian is decomposed instead.
 CONDITION_TOL = 1e-9
+MANY_COLUMNS = 20  # of one group, whose products are then quicker as those of a matrix
 
 
 @dataclass(frozen=True)
@@ -205,6 +206,8 @@ class SingularFactors:
 def products_by_group(columns: Array, groups: Groups) -> Array:
     """Products of every two of the columns summed over each group, shape (m, n) -> (g, m, m)."""
     m = len(columns)
+    if len(groups) == 1 and m > MANY_COLUMNS:
+        return (columns @ columns.T)[None]
     products = np.empty((len(groups), m, m))
     for i in range(m):
         for j in range(i + 1):
