@@ -38,6 +38,7 @@ from stickslip_fit.units import Z_95, Interval, TableUnit
 MIN_POOLED = 5  # labels whose effects have a common prior
 MAX_LEVELS, MIN_ROWS_PER_LEVEL = 12, 3  # of a column of integers, and for other parameters; rows, on average
 MAX_POOLED, MIN_ROWS_PER_POOLED = 60, 2  # of a column of texts
+MAX_CELLS = 150_000  # rows times labels of a column of more than `MAX_LEVELS` texts, which take half a minute
 MAX_NAMED = 12  # labels in a message
 
 
@@ -75,6 +76,8 @@ def explain_unusable_levels(cells: pd.Series) -> str | None:
         return "it is the same in every row"
     if number > MAX_POOLED or number * MIN_ROWS_PER_POOLED > len(cells):
         return f"it has {number:,} different texts in {len(cells):,} rows"
+    if number > MAX_LEVELS and number * len(cells) > MAX_CELLS:
+        return f"it has {number:,} different texts in {len(cells):,} rows, and so many take too long"
     return None
 
 
