@@ -1,9 +1,9 @@
 """Whether a sampled signal has a strict period, which noise that swings does not keep.
 
 An autoregression follows any swing, and would take a season or the mains for noise. A wave of fixed phase
-explains a strict period with four numbers, and leaves innovations that are smaller. The two are compared by
-the Bayesian information criterion: noise alone, and a wave with one harmonic in noise that is estimated
-beside it. Where the phase drifts, as that of sunspots does, the noise wins.
+explains a strict period with a few numbers, and leaves innovations that are smaller. The two are compared by
+the Bayesian information criterion: noise alone, and a wave with as many harmonics as the criterion asks for in
+noise that is estimated beside it. Where the phase drifts, as that of sunspots does, the noise wins.
 """
 
 from __future__ import annotations
