@@ -2,7 +2,7 @@
 
 An autoregression follows any swing, and would take a season or the mains for noise. A wave of fixed phase
 explains a strict period with a few numbers, and leaves innovations that are smaller. The two are compared by
-the Bayesian information criterion: noise alone, and a wave with as many harmonics as the criterion asks for in
+the Bayesian information criterion: noise alone, and a wave with as many harmonics as it asks for in
 noise that is estimated beside it. Where the phase drifts, as that of sunspots does, the noise wins.
 """
 
