@@ -372,7 +372,7 @@ def _gain_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
     columns = (Column("predicted", text=True), *(Column(head, table.unit) for head in heads))
     note = (
         f"Rms error of {table.response} on rows that took no part in choosing or fitting anything: "
-        f"{gain.held_out} were held out together. The interval is for a fresh replicate of this table."
+        f"{gain.held_out} were held out. The interval is for a fresh replicate of this table."
     )
     return [Table("What the extended law gains", columns, rows, note=note)]
 

@@ -25,7 +25,7 @@ from stickslip_fit.logs import Log
 
 N_BOOTSTRAP = 200
 ENVELOPE_COVERAGE = 0.95
-MAX_BINS, ROWS_PER_BIN = 12, 12
+MAX_BINS, ROWS_PER_BIN, FEW_BINS = 12, 12, 6
 MIN_RELATIVE_SHARE = 0.85  # of the share that the best column explains; the first above it is taken
 ERROR_TOL = 1e-12
 
@@ -150,7 +150,7 @@ def bin_values(values: Array) -> IntArray:
 def _bin_edges(distinct: Array, place: IntArray) -> Array:
     """Edges of bins with about as many rows each, in the widest gap near each quantile."""
     below = np.cumsum(np.bincount(place))[:-1]
-    number = int(np.clip(len(place) // ROWS_PER_BIN, 2, MAX_BINS))
+    number = int(np.clip(len(place) // ROWS_PER_BIN, np.clip(len(place) // 5, 2, FEW_BINS), MAX_BINS))
     size, gaps = len(place) / number, np.diff(distinct)
     cuts = set()
     for edge in range(1, number):

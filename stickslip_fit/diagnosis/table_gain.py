@@ -17,7 +17,6 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._format import pluralize
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.levels import LevelCause, name_levels
@@ -150,7 +149,7 @@ def number_time_blocks(
             kinds[own] = kinds.max() + 1 + np.arange(len(own)) * least // len(own)
     kinds = np.unique(kinds, return_inverse=True)[1]
     length = int(np.median(np.bincount(kinds)))
-    return kinds, f"blocks of about {pluralize(length, 'consecutive row')}"
+    return kinds, f"blocks of about {length:,} consecutive rows" if length > 1 else "single rows"
 
 
 def hold_out_kinds(

@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 
 from stickslip_fit._format import format_significant, pluralize
 from stickslip_fit._typing import Array, BoolArray
-from stickslip_fit.causes.roles import ORDER, direction_labels, direction_sign
+from stickslip_fit.causes.roles import ORDER, ROW_NUMBER, direction_labels, direction_sign
 from stickslip_fit.diagnosis import Diagnosis, Finding, TableInfo
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.memory import AR1
@@ -44,7 +44,7 @@ from stickslip_fit.plotting._style import (
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture
 
-MAX_POINTS, N_COLUMNS, MAX_PANELS = 800, 4, 24
+MAX_POINTS, FEW_POINTS, N_COLUMNS, MAX_PANELS = 800, 150, 4, 24
 LIMIT_QUANTILE, LIMIT_ZOOM = 0.98, 1.35
 ENVELOPE_COLOUR = "#dcdcd8"
 Z_95 = 1.96
@@ -75,7 +75,14 @@ def _collect(diagnosis: Diagnosis, table: TableInfo) -> _TableRows:
     units = {str(name): str(unit) for name, unit in declared.items()}
     roles, used = table.roles, [name for name in getattr(law, "columns", ()) if name != table.response]
     names = [roles.get("position", ""), *used, *map(str, rows.columns)]
-    hidden = {"joint", "session_seconds", roles.get("session"), roles.get("group"), roles.get("time")}
+    hidden = {
+        "joint",
+        "session_seconds",
+        ROW_NUMBER,
+        roles.get("session"),
+        roles.get("group"),
+        roles.get("time"),
+    }
     hidden |= {table.response, *getattr(getattr(law, "left", None), "names", ())}
     columns: dict[str, Array] = {}
     labels: dict[str, str] = {}
@@ -279,7 +286,8 @@ def _draw_points(axis: Axes, values: Array, y: Array, kinds: Mapping[str, BoolAr
         index = np.flatnonzero(kinds[label] & np.isfinite(values))
         if len(index) > MAX_POINTS:
             index = np.sort(np.random.default_rng(0).choice(index, MAX_POINTS, replace=False))
-        axis.plot(values[index], y[index], ls="", marker="o", ms=1.8, mew=0, alpha=0.3, color=colour)
+        size, alpha = (3.5, 0.6) if len(index) <= FEW_POINTS else (1.8, 0.3)
+        axis.plot(values[index], y[index], ls="", marker="o", ms=size, mew=0, alpha=alpha, color=colour)
 
 
 def columns_picture(diagnosis: Diagnosis, table: TableInfo) -> Picture:
