@@ -163,9 +163,8 @@ def describe_suspects(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
     if not len(far):
         return []
     left, foretold = linearized.residual * linearized.scale, ""
-    if (
-        linearized.noise_filter is not None
-    ):  # whose rows give the departure from what the rows before foretell
+    # The filter's rows give the departure from what the rows before foretell.
+    if linearized.noise_filter is not None:
         left = left / linearized.noise_filter.diagonal()
         foretold = " what the rows before foretell"
     numbers = selection.problem.rows[ROW_NUMBER].to_numpy() + 1

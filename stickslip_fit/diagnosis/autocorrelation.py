@@ -17,6 +17,7 @@ noise: the poles are drawn in until it does not.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -32,12 +33,13 @@ MAX_ORDER, ROWS_PER_ORDER = 10, 25  # rows with a predecessor for each coefficie
 SWING_ORDER = 2  # of noise that swings, which few rows are to tell from a strict period, too
 MAX_WITHOUT_GAIN = 2  # orders in a row that do not lower the criterion, after which none is tried
 MAX_SHARE_OF_SEQUENCE = 0.4  # over which noise persists
-MAX_PARTIAL = 0.998  # of a partial autocorrelation; beyond, the noise has no variance to speak of
+# Of a partial autocorrelation; beyond the first, the noise has no variance to speak of.
+LARGEST_PARTIALS = (0.998, 0.99, 0.97, 0.9, 0.8, 0.5)
 MAX_SHOCKS, MAX_SHOCK_ROWS, MIN_SHOCK_SD = 6, 10, 5.0  # outliers and lasting changes, beside the noise
 LEAST_SWING, SHORTEST_SWING = 0.15, 4.0  # of an oscillation after a period; rows
 MEDIAN_OF_NORMAL = float(ndtri(0.75))  # of the absolute values of standard normal noise
 GRADIENT_STEP = 1e-4
-SINGULAR = 1e12  # nats, for coefficients under which the law's parameters are not known
+SPAN_TOL, MIN_LENGTH = 1e-6, 1e-300  # of the largest singular value; of a column
 SPACING_TOL = 0.25  # of the interval between samples
 MIN_REGULAR = 0.8  # share of the rows that follow the one before at the usual interval
 MIN_SAMPLED = 30  # rows that do
@@ -69,6 +71,10 @@ class Autocorrelation:
         return FilterPattern.of(self.sample, len(self.coefficients)).fill(
             partial_autocorrelations(self.coefficients)
         )
+
+    def whiten(self, columns: Array) -> Array:
+        """Columns, shape (n,) or (n, q), as they are under independent noise of variance 1."""
+        return columns if self.noise_filter is None else np.asarray(self.noise_filter @ columns)
 
     @property
     def log_determinant(self) -> float:
@@ -134,7 +140,7 @@ class Autocorrelation:
             found, before = replace(self, coefficients=coefficients).shorten(), shocks
             # All shocks that this noise does not explain, before the noise is estimated anew.
             while shocks < MAX_SHOCKS:
-                shock = find_shock(linearized, effects, found.noise_filter)
+                shock = find_shock(linearized, effects, found)
                 if shock is None:
                     break
                 effects = np.concatenate([effects, linearized.project(shock)[:, None]], axis=1)
@@ -245,7 +251,7 @@ def estimate_autoregression(linearized: LinearizedFit, effects: Array, sample: I
     sample : array of int, shape (n,)
     """
     linked = int(np.sum(FilterPattern.of(sample, 1).depth))
-    border = np.concatenate([linearized.shared_basis, _spanning(effects)], axis=1)
+    border = np.concatenate([linearized.shared_basis, spanning(effects)], axis=1)
     likelihood = _RestrictedLikelihood(linearized, border, sample)
     best, found = likelihood.criterion(np.zeros(0)), np.zeros(0)
     start, without_gain = np.zeros(0), 0
@@ -261,15 +267,15 @@ def estimate_autoregression(linearized: LinearizedFit, effects: Array, sample: I
     return predictors(found)[-1]
 
 
-def find_shock(linearized: LinearizedFit, effects: Array, noise_filter: csr_array | None) -> Array | None:
+def find_shock(linearized: LinearizedFit, effects: Array, noise: Autocorrelation) -> Array | None:
     """An outlier or a lasting change that is far beyond the noise, 1 in its rows, shape (n,), or None.
 
     An outlier hides autocorrelation, a lasting change looks like it. Parameters are as of
     `estimate_autoregression`; either shows in the largest of the innovations.
     """
-    basis = _spanning(effects)
+    basis = spanning(effects)
     left = linearized.residual - basis @ (basis.T @ linearized.residual)
-    innovations = left if noise_filter is None else np.asarray(noise_filter @ left)
+    innovations = noise.whiten(left)
     df = max(linearized.df - basis.shape[1], 1)
     sd = min(
         np.sqrt(innovations @ innovations / df), float(np.median(np.abs(innovations))) / MEDIAN_OF_NORMAL
@@ -281,17 +287,21 @@ def find_shock(linearized: LinearizedFit, effects: Array, noise_filter: csr_arra
         single[row], lasting[row:] = 1.0, session[row:] == session[row]
         shapes += [single, lasting]
     columns = np.stack(shapes, axis=1)
-    seen = columns if noise_filter is None else np.asarray(noise_filter @ columns)
+    seen = noise.whiten(columns)
     z = np.abs(seen.T @ innovations) / np.linalg.norm(seen, axis=0) / max(sd, np.finfo(float).tiny)
     best = int(np.argmax(z))
     return None if z[best] < MIN_SHOCK_SD else columns[:, best]
 
 
-def _spanning(effects: Array) -> Array:
-    if not effects.shape[1]:
-        return effects
-    left, singular, _ = np.linalg.svd(effects, full_matrices=False)
-    return left[:, singular > 1e-6 * max(float(singular.max(initial=0.0)), 1e-300)]
+def spanning(columns: Array) -> Array:
+    """An orthonormal basis of the span of columns, shape (n, q)."""
+    if not columns.shape[1]:
+        return columns
+    if columns.shape[1] == 1:
+        length = float(np.linalg.norm(columns))
+        return columns / length if length > MIN_LENGTH else columns[:, :0]
+    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    return left[:, singular > SPAN_TOL * max(float(singular.max(initial=0.0)), MIN_LENGTH)]
 
 
 class _RestrictedLikelihood:
@@ -320,22 +330,26 @@ class _RestrictedLikelihood:
 
     def maximize(self, start: Array) -> Array:
         """Partial autocorrelations of the highest likelihood."""
-        limit = float(np.arctanh(MAX_PARTIAL))
         from scipy.optimize import minimize
 
         options: Any = {"maxiter": 30, "ftol": 1e-6, "eps": GRADIENT_STEP}
 
         def of_transformed(z: Array) -> float:
-            try:
-                return self.negative_log(np.tanh(z))
-            except np.linalg.LinAlgError:  # so close to a unit root that nothing of a parameter is left
-                return SINGULAR
+            return self.negative_log(np.tanh(z))
 
-        bounds = [(-limit, limit)] * len(start)
-        result = minimize(
-            of_transformed, np.arctanh(start), method="L-BFGS-B", bounds=bounds, options=options
-        )
-        return np.asarray(np.tanh(result.x))
+        # So close to unit roots that nothing of a parameter is left there is no likelihood.
+        for largest in LARGEST_PARTIALS:
+            limit, first = float(np.arctanh(largest)), np.arctanh(np.clip(start, -largest, largest))
+            with suppress(np.linalg.LinAlgError):
+                result = minimize(
+                    of_transformed,
+                    first,
+                    method="L-BFGS-B",
+                    bounds=[(-limit, limit)] * len(start),
+                    options=options,
+                )
+                return np.asarray(np.tanh(result.x))
+        return start
 
     def negative_log(self, partial: Array) -> float:
         """Negative log likelihood, the noise's variance maximized out, but for a constant."""

@@ -15,13 +15,17 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, estimate_autoregression
+from stickslip_fit.diagnosis.autocorrelation import (
+    SPAN_TOL,
+    Autocorrelation,
+    estimate_autoregression,
+    spanning,
+)
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 
 MAX_EFFECTS = 4
 MIN_ADVANTAGE = 3.0  # nats beyond what the criterion asks for
 MAX_SHARE = 0.2  # of the rows, of an effect's directions
-RANK_TOL = 1e-6
 
 
 def find_mean_effects(
@@ -76,13 +80,15 @@ def _most_explained(
 ) -> int:
     """Which effect explains most of what is left under some noise, at half of log(n) for each direction."""
     n = len(linearized)
-    absorbed = _spanning(whiten(np.concatenate([linearized.basis.toarray(), mean], axis=1), noise))
-    target = whiten(linearized.residual[:, None], noise)[:, 0]
+    absorbed = spanning(noise.whiten(np.concatenate([linearized.basis.toarray(), mean], axis=1)))
+    target = noise.whiten(linearized.residual)
     target = target - absorbed @ (absorbed.T @ target)
     squares = max(float(target @ target), float(np.finfo(float).tiny))
     scores = []
     for columns in _whitened(effects, noise):
-        own = _spanning(columns - absorbed @ (absorbed.T @ columns))
+        left = columns - absorbed @ (absorbed.T @ columns)
+        known = np.linalg.norm(left, axis=0) > SPAN_TOL * np.linalg.norm(columns, axis=0)
+        own = spanning(left[:, known])
         explained = min(float(np.sum((own.T @ target) ** 2)) / squares, 1.0 - 1e-12)
         scores.append(-0.5 * n * np.log1p(-explained) - 0.5 * columns.shape[1] * np.log(n))
     return int(np.argmax(scores))
@@ -91,27 +97,13 @@ def _most_explained(
 def _whitened(effects: Sequence[Array], noise: Autocorrelation) -> Iterator[Array]:
     """Each effect under some noise; all are filtered at once."""
     ends = np.cumsum([one.shape[1] for one in effects])[:-1]
-    yield from np.split(whiten(np.concatenate(effects, axis=1), noise), ends, axis=1)
-
-
-def _spanning(columns: Array) -> Array:
-    """An orthonormal basis of columns, shape (n, q)."""
-    if columns.shape[1] == 1:
-        length = float(np.linalg.norm(columns))
-        return columns / length if length > RANK_TOL else columns[:, :0]
-    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(left[:, singular > RANK_TOL * max(float(singular.max(initial=0.0)), RANK_TOL)])
-
-
-def whiten(columns: Array, noise: Autocorrelation) -> Array:
-    """Columns, shape (n, q), as they are under noise of variance 1 that is independent."""
-    return columns if noise.noise_filter is None else np.asarray(noise.noise_filter @ columns)
+    yield from np.split(noise.whiten(np.concatenate(effects, axis=1)), ends, axis=1)
 
 
 def criterion(linearized: LinearizedFit, mean: Array, noise: Autocorrelation) -> float:
     """Log likelihood with an autoregression, less what the criterion asks for its coefficients."""
     columns = np.concatenate([linearized.basis.toarray(), mean, linearized.residual[:, None]], axis=1)
-    columns, n, order = whiten(columns, noise), len(columns), len(noise.coefficients)
+    columns, n, order = noise.whiten(columns), len(columns), len(noise.coefficients)
     size = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=None)[0]
     innovations = columns[:, -1] - columns[:, :-1] @ size
     squares = max(float(innovations @ innovations), float(np.finfo(float).tiny))

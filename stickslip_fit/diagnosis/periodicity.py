@@ -15,7 +15,7 @@ from stickslip_fit.causes.proposed import N_HARMONICS
 from stickslip_fit.causes.smooth import harmonics
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, estimate_autoregression
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.mean_structure import criterion, whiten
+from stickslip_fit.diagnosis.mean_structure import criterion
 
 OVERSAMPLING, N_FINER = 4, 21  # frequencies for each of the signal's own; about the best of them
 MIN_ADVANTAGE = 6.0  # nats beyond what the criterion asks for
@@ -72,14 +72,14 @@ def find_period(
     def strongest_rate(noise: Autocorrelation) -> float:
         """Of the periodogram under some noise: a wave is filtered as what it explains is."""
         series = np.zeros(length)
-        series[sample - sample.min()] = whiten(linearized.residual[:, None], noise)[:, 0]
+        series[sample - sample.min()] = noise.whiten(linearized.residual)
         return float(rates[allowed[np.argmax(np.abs(np.fft.rfft(series)[allowed]))]])
 
     def search(around: Array, noise: Autocorrelation, most: int) -> float:
         """The period whose wave explains most of what the law leaves, under some noise."""
-        target, explained = whiten(linearized.residual[:, None], noise), []
+        target, explained = noise.whiten(linearized.residual), []
         for period in around:
-            columns = whiten(wave(period, count_harmonics(period, interval, most)), noise)
+            columns = noise.whiten(wave(period, count_harmonics(period, interval, most)))
             size = np.linalg.lstsq(columns, target, rcond=None)[0]
             explained.append(float(np.sum((columns @ size) ** 2)))
         return float(around[int(np.argmax(explained))])

@@ -34,7 +34,7 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
     data = "log" if is_log(linearized) else "table"
     for cause in problem.causes:
         share = getattr(cause, "share_where_noise_persists", 1.0) if len(problem.correlation) else 1.0
-        strength = share * largest_strength(cause, linearized, sessions, problem.outlier_cause, share)
+        strength = largest_strength(cause, linearized, sessions, problem.outlier_cause, share)
         if strength < EFFECT_TOL and _always_fails(cause, linearized, sessions):
             untestable[cause.name] = NO_TRIALS
         elif strength < EFFECT_TOL:
@@ -59,9 +59,9 @@ def largest_strength(
     outlier_cause: str,
     share: float = 1.0,
 ) -> float:
-    """Whitened norm of a cause's largest plausible effect, beyond what calibration absorbs.
+    """Whitened norm of a share of a cause's largest plausible effect, beyond what calibration absorbs.
 
-    Of a cause that is tried at many values, the first norm of which a share is large enough for a test.
+    Of a cause that is tried at many values, the first norm that is large enough for a test.
     """
     if cause.name == outlier_cause:
         return np.inf
@@ -79,8 +79,8 @@ def largest_strength(
             else:
                 effects = compute_effects(linearized, version, some)
             own = _largest_combination(effects) if combined else np.linalg.norm(effects, axis=0).max()
-            strongest = max(strongest, float(own))
-            if share * strongest >= MIN_TESTABLE_STRENGTH:
+            strongest = max(strongest, share * float(own))
+            if strongest >= MIN_TESTABLE_STRENGTH:
                 return strongest
     return strongest
 

@@ -209,7 +209,7 @@ def test_a_clock_with_a_pace_is_so_much_faster_and_sleeps_no_night():
 def test_an_emulated_capture_is_on_its_page_from_the_first_step_to_the_last(tmp_path):
     (tmp_path / "plan.toml").write_text(PLAN)
     command = ["capture", "plan.toml", "-o", "log.csv", "--emulate", "--ideal-detector", "--unattended"]
-    command += ["--page", "--pace", "30"]
+    command += ["--page", "--pace", "10"]
     program = [sys.executable, "-m", "stickslip_fit", *command]
     with subprocess.Popen(program, cwd=tmp_path, stdout=subprocess.PIPE, text=True) as process:
         address = re.fullmatch(r"page: (http://127\.0\.0\.1:\d+/[\w-]+/)\n", process.stdout.readline())[1]
@@ -223,7 +223,7 @@ def test_an_emulated_capture_is_on_its_page_from_the_first_step_to_the_last(tmp_
         point["text"].partition(", ")[0] for point in residuals
     ]
     steps = [line["drive"]["steps"] for line in lines if line.get("drive")]
-    assert len(set(steps)) > 2  # as many as the page gets between two steps, which is fewer on a busy machine
+    assert len(set(steps)) > 5
     assert max(abs(point["residual"]) for point in residuals) < 0.1
 
 

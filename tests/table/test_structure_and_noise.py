@@ -8,6 +8,8 @@ import pytest
 from scipy.signal import lfilter
 
 import stickslip_fit as ssf
+from stickslip_fit.diagnosis.autocorrelation import _RestrictedLikelihood, estimate_autoregression
+from stickslip_fit.diagnosis.table import problem_from_table
 
 
 def diagnose(y, t, law="y ~ c", **options):
@@ -76,7 +78,7 @@ def test_a_large_constant_changes_nothing():
     assert shifted.repeatability == pytest.approx(plain.repeatability, rel=1e-3)
 
 
-@pytest.mark.parametrize("carried", [0.9, pytest.param(1.0, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("carried", [0.95, pytest.param(1.0, marks=pytest.mark.nightly)])
 def test_noise_that_persists_is_no_structure(carried):
     """Walks of 60 to 240 rows: none of 8 is an alarm, of which 1 % may be."""
     alarms = 0
@@ -88,8 +90,21 @@ def test_noise_that_persists_is_no_structure(carried):
     assert alarms == 0
 
 
-def test_coefficients_near_a_unit_root_are_no_reason_to_fail():
-    """A sine without noise: the likelihood grows towards unit roots, where it cannot be computed."""
+def test_coefficients_of_which_there_is_no_likelihood_are_no_reason_to_fail(monkeypatch):
+    """Near unit roots the matrix of a law's parameters may be singular; the search goes on below them."""
     t = np.arange(300.0)
-    found = diagnose(np.sin(2 * np.pi * t / 50) + 1e-6 * np.random.default_rng(9).standard_normal(300), t)
-    assert names(found)[:1] == ["periodic-in-time"]
+    y = lfilter([1.0], [1.0, -0.8], np.random.default_rng(9).standard_normal(600))[300:]
+    problem, _ = problem_from_table(pd.DataFrame({"t": t, "y": y}), ssf.Law("y ~ a + b*t"))
+    computed, refused = _RestrictedLikelihood.negative_log, []
+
+    def negative_log(likelihood, partial):
+        if len(partial) and partial[0] > 0.85:
+            refused.append(partial)
+            raise np.linalg.LinAlgError
+        return computed(likelihood, partial)
+
+    monkeypatch.setattr(_RestrictedLikelihood, "negative_log", negative_log)
+    linearized = problem.linearize()
+    found = estimate_autoregression(linearized, np.zeros((300, 0)), np.arange(300))
+    assert refused
+    assert found[0] == pytest.approx(0.8, abs=4 * np.sqrt((1 - 0.8**2) / 300))
