@@ -43,9 +43,22 @@ class Combination:
     others: tuple[str, ...]
 
 
-def first_of_pair(
-    problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit
-) -> Combination | None:
+@dataclass(frozen=True, eq=False)
+class PairSearch:
+    """Two or three causes that together are likelier than unknown structure, if there are any.
+
+    Attributes
+    ----------
+    found : Combination or None
+    behind : float
+        Nats that the nearest combination lacks where none was found; infinite where none was possible.
+    """
+
+    found: Combination | None
+    behind: float = np.inf
+
+
+def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit) -> PairSearch:
     """Two or three causes that together are likelier than unknown structure, if there are any.
 
     The sum of two effects is in the span of neither, so that alone each loses to unknown structure.
@@ -55,29 +68,36 @@ def first_of_pair(
     best, highest = None, evidence[UNKNOWN] + PAIR_LOG_PENALTY
     pairs: list[tuple[float, list[SelectedCause]]] = []
     causes = sorted(causes, key=lambda cause: -evidence[cause])[:MAX_PAIR_TRIALS]
+    lacking = [np.inf]
     if problem.autocorrelation is None and causes:
         # Linearized: the third of three causes adds no more than the second.
         added = _evidence_added(misfit, causes, problem.linearize().df)
-        causes = [cause for cause in causes if evidence[cause] + 2.0 * added[cause] > highest]
+        most = {cause: evidence[cause] + 2.0 * added[cause] for cause in causes}
+        causes = [cause for cause in causes if most[cause] > highest]
+        lacking += [highest - most[cause] for cause in most if cause not in causes]
     for cause in causes:
         first = make_selected(misfit, form_cause_set(misfit, cause))
         left, second, unknown = _next_cause(extend_problem(problem, [*selected, first]), [*selected, first])
         pair = evidence[cause] + left.log_evidence_by_cause.get(second, -np.inf)
         if second == UNKNOWN:
             continue
+        lacking.append(max(highest - pair, unknown - left.log_evidence_by_cause[second]))
         if left.log_evidence_by_cause[second] > unknown:
             if pair > highest:
                 best, highest = Combination(first, (second,)), pair
         elif left.log_evidence_by_cause[second] > PAIR_MIN_LOG_BAYES_FACTOR:
             pairs.append((pair, [first, make_selected(left, form_cause_set(left, second))]))
     if best is not None or not pairs:
-        return best
+        return PairSearch(best, min(lacking))
     pair, both = max(pairs, key=lambda scored: scored[0])
     left, third, unknown = _next_cause(extend_problem(problem, [*selected, *both]), [*selected, *both])
     share = left.log_evidence_by_cause.get(third, -np.inf)
-    if third != UNKNOWN and share > unknown and pair + share > highest + PAIR_LOG_PENALTY:
-        return Combination(both[0], (both[1].cause, third))
-    return None
+    if third == UNKNOWN:
+        return PairSearch(None, min(lacking))
+    lacking.append(max(highest + PAIR_LOG_PENALTY - pair - share, unknown - share))
+    if lacking[-1] < 0:
+        return PairSearch(Combination(both[0], (both[1].cause, third)))
+    return PairSearch(None, min(lacking))
 
 
 def _next_cause(

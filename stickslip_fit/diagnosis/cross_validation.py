@@ -16,7 +16,15 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.diagnosis.extension import SelectedCause
+from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.extension import (
+    SelectedCause,
+    compute_evidence,
+    extend_problem,
+    fit_causes,
+    linearize_with_causes,
+    make_selected,
+)
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.leave_out import Looks
 from stickslip_fit.diagnosis.linearized import (
@@ -28,6 +36,7 @@ from stickslip_fit.diagnosis.linearized import (
 )
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
+from stickslip_fit.diagnosis.proposed_term import propose_term
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.estimation._optimize import Groups, group_rows, minimize
 from stickslip_fit.estimation.closed_form import pick_calibration
@@ -277,10 +286,11 @@ def compute_held_out_errors(
 def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Finding]) -> Array | None:
     """As `compute_held_out_errors` where the training rows clearly show what the whole log shows, else None.
 
-    The tests are repeated by linear algebra, and the laws refitted from their fit to all rows.
+    The tests are repeated by linear algebra, and the laws refitted from their fit to all rows. A law for
+    unknown structure is searched again.
     """
     whole = looks.selection
-    if any(one.cause == UNKNOWN for one in whole.selected):  # what stands for it has to be searched again
+    if any(one.cause == UNKNOWN and one.version is None for one in whole.selected):
         return None
     selected = looks.select_without(np.setdiff1d(np.arange(len(whole.problem)), split.train))
     if selected is None:
@@ -292,11 +302,28 @@ def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Findi
     training = replace(whole.problem, parts=tuple(parts)).select_rows(split.train)
     starts = [
         whole.fit.values[place] if one.version is before.version else one.start
-        for one, before, place in zip(selected, whole.law_causes, whole.slices, strict=True)
+        for one, before, place in zip(selected, looks.named, whole.slices, strict=False)
     ]
-    fit = training.fit_extended([one.version for one in selected], np.concatenate(starts))
-    selection = replace(whole, problem=training, selected=tuple(selected), fit=fit)
+    selected = [replace(one, start=start) for one, start in zip(selected, starts, strict=True)]
+    if looks.ends_unknown:
+        selection = _propose_again(replace(whole, problem=training), selected)
+    else:
+        fit = fit_causes(training, selected)
+        selection = replace(whole, problem=training, selected=tuple(selected), fit=fit)
     return _predict_by_steps(whole.problem, split, findings, selection)
+
+
+def _propose_again(selection: Selection, named: Sequence[SelectedCause]) -> Selection:
+    """The selection with these named causes, and a law for the structure that they leave."""
+    problem, fit = selection.problem, fit_causes(selection.problem, named)
+    linearized = linearize_with_causes(problem, fit, named)
+    misfit = compute_evidence(linearized, problem, [one.cause for one in named], effects=[])
+    unknown = make_selected(misfit, form_cause_set(misfit, UNKNOWN))
+    rng = np.random.default_rng(0)  # of simulated noise
+    selected = propose_term(linearized, [*named, unknown], problem.expressions, rng)
+    if selected[-1].version is not None:
+        problem, fit, _ = extend_problem(problem, selected)
+    return replace(selection, problem=problem, selected=tuple(selected), fit=fit)
 
 
 def _predict_by_steps(

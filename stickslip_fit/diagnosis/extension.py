@@ -118,18 +118,21 @@ def extend_problem(problem: DiagnosisProblem, selected: Sequence[SelectedCause])
     correlated = problem.with_autocorrelation(fit)
     if correlated is not problem:
         problem, fit = correlated, correlated.fit_extended(versions, fit.values)
-
-    def linearize(problem: DiagnosisProblem) -> LinearizedFit:
-        plain = problem.linearize_extended(fit)
-        forms = [form for one in causes for form in (alternative_forms(plain, one), open_changes(plain, one))]
-        return problem.linearize_extended(fit, np.concatenate(forms, axis=1)) if forms else plain
-
-    linearized = linearize(problem)
+    linearized = linearize_with_causes(problem, fit, causes)
     left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
     problem = problem.with_noise(problem.estimate_noise(linearized, left))
     if problem.autocorrelation is not None:  # the noise of a signal changes much once its cause is in the law
         fit = problem.fit_extended(versions, fit.values)
-    return problem, fit, linearize(problem)
+    return problem, fit, linearize_with_causes(problem, fit, causes)
+
+
+def linearize_with_causes(
+    problem: DiagnosisProblem, fit: ExtendedFit, causes: Sequence[SelectedCause]
+) -> LinearizedFit:
+    """A fit with causes in its laws, linearized; other forms that the causes may have count as known."""
+    plain = problem.linearize_extended(fit)
+    forms = [form for one in causes for form in (alternative_forms(plain, one), open_changes(plain, one))]
+    return problem.linearize_extended(fit, np.concatenate(forms, axis=1)) if forms else plain
 
 
 def compute_evidence(

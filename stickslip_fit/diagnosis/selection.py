@@ -80,6 +80,8 @@ class Selection:
     influential : array of int
         Rows of `problem`, outliers each, without which there is no evidence of the cause that the search
         would have selected next.
+    pairs_behind : float
+        Nats by which unknown structure was likelier than any combination of causes, where it was named.
     """
 
     problem: DiagnosisProblem
@@ -92,6 +94,7 @@ class Selection:
     linearized: LinearizedFit
     failed: tuple[str, ...] = ()
     influential: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    pairs_behind: float = np.inf
 
     @property
     def law_causes(self) -> list[SelectedCause]:
@@ -139,7 +142,7 @@ def select_causes(
     fit, level = problem.fit_extended(), allocate_alpha(alpha)
     selected: list[SelectedCause] = []
     combinations: list[tuple[str, ...]] = []
-    influential, failed = outliers[:0], set[str]()
+    influential, failed, pairs_behind = outliers[:0], set[str](), np.inf
 
     def assess(extension: Extension, selected: Sequence[SelectedCause]) -> Misfit:
         problem, _, linearized = extension
@@ -150,9 +153,12 @@ def select_causes(
         refits = refit_likeliest(problem, selected, last)
         last, failed = refits.misfit, failed | {*refits.failed}
         following = make_selected(last, form_cause_set(last), refits.starts)
-        if following.cause == UNKNOWN and (pair := first_of_pair(problem, selected, last)):
-            following = pair.first
-            combinations.append((following.cause, *pair.others))
+        if following.cause == UNKNOWN:
+            pairs = first_of_pair(problem, selected, last)
+            pairs_behind = pairs.behind
+            if pairs.found is not None:
+                following = pairs.found.first
+                combinations.append((following.cause, *pairs.found.others))
         support = assess_support(linearized, last, following.cause)
         if support.too_narrow:
             broad = find_broad_cause(linearized, last, following.cause)
@@ -186,7 +192,9 @@ def select_causes(
             problem, fit, linearized = extend_problem(problem, selected)
     everything = (*misfires, *selected)
     results = first, last, p_value, fit, linearized
-    selection = Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
+    selection = Selection(
+        problem, outliers, everything, *results, tuple(sorted(failed)), influential, pairs_behind
+    )
     # Beside an effect far above the noise, of which the test knows the linear part alone, rows look outlying
     # that the law with its cause explains.
     if len(explained := explain_outliers(selection, every, outliers)):

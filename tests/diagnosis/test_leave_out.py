@@ -155,6 +155,27 @@ def test_held_out_errors_are_those_of_the_whole_selection_repeated(problem):
     assert np.sqrt(np.mean((confirmed[1] - repeated[1]) ** 2)) < 0.1 * after
 
 
+def test_a_law_for_unknown_structure_is_searched_anew_in_each_fold(tmp_path):
+    """Without the search for causes, whose answer is clear; as in the search repeated."""
+    log = hide("session", ("unknown:product",), 25, seed=5, forms={"unknown:product": "load and hours"})
+    log.write(tmp_path / "log.csv")
+    problem, _ = problem_from_log(read_log(tmp_path / "log.csv"))
+    selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
+    findings = size_findings(selection, selection.problem, ALPHA)
+    assert [one.cause for one in findings] == [UNKNOWN]
+    looks, split = prepare_looks(selection, ALPHA), hold_out_configurations(selection)[0]
+    repeated = compute_held_out_errors(
+        selection.problem, split, findings, partial(select_in_fold, alpha=ALPHA), (0, 0)
+    )
+    before, after = np.sqrt(np.mean(repeated**2, axis=1))
+    assert after < 0.9 * before
+    confirmed = confirm_held_out_errors(looks, split, findings)
+    np.testing.assert_allclose(confirmed[0], repeated[0], rtol=1e-6)
+    assert np.sqrt(np.mean((confirmed[1] - repeated[1]) ** 2)) < 0.02 * after
+    paired = prepare_looks(replace(selection, pairs_behind=2.0), ALPHA)
+    assert confirm_held_out_errors(paired, split, findings) is None
+
+
 def test_looks_that_are_not_clear_are_left_to_the_whole_selection(problem):
     selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
     looks, few = prepare_looks(selection, ALPHA), np.arange(0, len(selection.problem), 9)
