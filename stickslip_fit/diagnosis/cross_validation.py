@@ -335,14 +335,17 @@ def extend_by_steps(
 def match_findings(causes: Sequence[SelectedCause], findings: Sequence[Finding]) -> list[int]:
     """The finding of the whole log for which each cause selected in a part of it stands.
 
-    It is the one with this cause in its cause set, or else the last.
+    It is the one with this cause in its cause set, of unknown structure one that follows the same if there is
+    one, or else the last.
     """
 
-    def match(cause: str) -> int:
-        inside = [cause in finding.cause_set for finding in findings]
-        return inside.index(True) if any(inside) else len(findings) - 1
+    def match(selected: SelectedCause) -> int:
+        inside = [k for k, finding in enumerate(findings) if selected.cause in finding.cause_set]
+        carriers = getattr(selected.version, "carriers", ())
+        same = [k for k in inside if getattr(findings[k].version, "carriers", ()) == carriers]
+        return [*same, *inside, len(findings) - 1][0]
 
-    return [match(selected.cause) for selected in causes]
+    return [match(selected) for selected in causes]
 
 
 def _prediction_errors(
