@@ -25,6 +25,7 @@ from stickslip_fit.causes.parameters import (
     SizedParameter,
     Sizes,
     collect_row_values,
+    number_repeated,
     plain_description,
     sizes_by_name,
 )
@@ -296,7 +297,9 @@ class Composition(StepLaw):
         self.causes = tuple(causes)
         self.joint, self.has_kinks = law.joint, law.has_kinks
         self.cause_parameters = tuple(
-            _qualify(cause, parameter) for cause in causes for parameter in cause.parameters
+            _qualify(name, parameter)
+            for cause, name in zip(causes, number_repeated(one.name for one in causes), strict=True)
+            for parameter in cause.parameters
         )
         self.parameters = (*law.parameters, *self.cause_parameters)
 
@@ -429,10 +432,10 @@ class Composition(StepLaw):
         return np.array([size for cause in self.causes for size in cause.scale], dtype=float)
 
 
-def _qualify(cause: Cause, parameter: CauseParameter) -> CauseParameter:
+def _qualify(cause: str, parameter: CauseParameter) -> CauseParameter:
     """The parameter by its full name, such as ``load-nonlinearity.k[3+]``."""
     scope = f"{parameter.joint or ''}{parameter.direction or ''}{parameter.session or ''}"
-    return replace(parameter, name=f"{cause.name}.{parameter.name}{f'[{scope}]' if scope else ''}")
+    return replace(parameter, name=f"{cause}.{parameter.name}{f'[{scope}]' if scope else ''}")
 
 
 def _split(values: Array, columns: range) -> list[Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -106,6 +107,22 @@ class SizesByDirection:
 
 Sizes = Mapping[str, SizedParameter | SizesByDirection]
 """Parameters of a cause by name."""
+
+
+def number_repeated(names: Iterable[str]) -> list[str]:
+    """Names, those that came before with their number.
+
+    Examples
+    --------
+    >>> number_repeated(["drift", "smooth-term", "smooth-term"])
+    ['drift', 'smooth-term', 'smooth-term-2']
+    """
+    count = Counter[str]()
+    numbered = []
+    for name in names:
+        count[name] += 1
+        numbered.append(name if count[name] == 1 else f"{name}-{count[name]}")
+    return numbered
 
 
 def sizes_by_name(parameters: Sequence[SizedParameter]) -> dict[str, SizedParameter | SizesByDirection]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause
-from stickslip_fit.causes.parameters import CauseParameter
+from stickslip_fit.causes.parameters import CauseParameter, number_repeated
 from stickslip_fit.laws import Parameter, Rows, TableLaw
 from stickslip_fit.laws.base import Model
 from stickslip_fit.laws.table import count_rows, number_column
@@ -95,8 +95,8 @@ class ExtendedTableLaw:
     def cause_parameters(self) -> tuple[CauseParameter, ...]:
         """The causes' parameters, one cause after the other."""
         return tuple(
-            replace(parameter, name=f"{cause.name}.{parameter.name}")
-            for cause in self.causes
+            replace(parameter, name=f"{name}.{parameter.name}")
+            for cause, name in zip(self.causes, number_repeated(one.name for one in self.causes), strict=True)
             for parameter in cause.parameters
         )
 

@@ -172,7 +172,7 @@ def _simulate(plan: Plan, law: Path, path: Path) -> Log:
 
 
 def _name_findings(diagnosis: Diagnosis) -> str:
-    from stickslip_fit.diagnosis._unknown_summary import name_finding
+    from stickslip_fit.diagnosis._unknown_summary import name_findings
 
-    names: Sequence[str] = [name_finding(finding) for finding in diagnosis.findings]
+    names: Sequence[str] = name_findings(diagnosis.findings)
     return ", ".join(names) or "nothing"

@@ -269,9 +269,9 @@ def load_table_law(law: Path | str) -> LawsAndCauses:
 
 def describe_extension(diagnosis: Diagnosis) -> str:
     """Whether the law was extended, and by what."""
-    from stickslip_fit.diagnosis._unknown_summary import name_finding
+    from stickslip_fit.diagnosis._unknown_summary import name_findings
 
-    names = [name_finding(finding) for finding in diagnosis.findings if finding.version is not None]
+    names = name_findings([finding for finding in diagnosis.findings if finding.version is not None])
     return f"extended by {', '.join(names)}" if names else "as it was, since no cause was named"
 
 

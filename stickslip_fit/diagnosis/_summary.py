@@ -42,7 +42,7 @@ from stickslip_fit.diagnosis._unknown_summary import (
     describe_unknown_gain,
     explains_tables,
     find_extending,
-    name_finding,
+    name_findings,
 )
 from stickslip_fit.diagnosis.experiments import find_inseparable_pairs
 from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse
@@ -214,14 +214,14 @@ def _findings_tables(diagnosis: Diagnosis) -> list[Table]:
     )
     rows = tuple(
         (
-            name_finding(finding),
+            name,
             format_percent(finding.effect.estimate, with_unit=False),
             format_interval(finding.effect, "%", 1),
             ", ".join(map(str, finding.joints)),
             format_p_value(finding.p_value),
             ", ".join(finding.equivalent) or MISSING,
         )
-        for finding in diagnosis.findings
+        for name, finding in zip(name_findings(diagnosis.findings), diagnosis.findings, strict=True)
     )
     note = "Effect on the counts, beyond what recalibration absorbs. p: of any alarm, if nothing were wrong."
     outliers = [
@@ -239,13 +239,13 @@ def _parameter_tables(diagnosis: Diagnosis) -> list[Table]:
     )
     rows: tuple[tuple[str, ...], ...] = tuple(
         (
-            name_finding(finding),
+            name,
             parameter.name,
             typeset_text(format_estimate(parameter.size, parameter.unit, signed=True)),
             format_interval(parameter.size, parameter.unit, 1),
             _scope(parameter),
         )
-        for finding in diagnosis.findings
+        for name, finding in zip(name_findings(diagnosis.findings), diagnosis.findings, strict=True)
         if finding.cause != UNKNOWN or finding.term
         for parameter in finding.parameters
     )
@@ -284,7 +284,8 @@ def _outliers_table(traverses: pd.DataFrame) -> Table:
 def _gain_tables(diagnosis: Diagnosis) -> list[Table]:
     """Errors on held-out traverses, before and after."""
     named = find_extending(diagnosis.findings)
-    steps = [(f"with {name_finding(finding)}", finding.gain) for finding in named] if len(named) > 1 else []
+    names = name_findings(named)
+    steps = [(f"with {name}", one.gain) for name, one in zip(names, named, strict=True)] if names[1:] else []
     lines: list[tuple[str, Gain | None]] = [
         ("held-out traverses", diagnosis.gain),
         *steps,

@@ -45,7 +45,7 @@ from stickslip_fit.diagnosis._table_words import (
     format_size,
     name_table_cause,
 )
-from stickslip_fit.diagnosis._unknown_summary import describe_company, describe_proposals, name_finding
+from stickslip_fit.diagnosis._unknown_summary import describe_company, describe_proposals, name_findings
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, Gain, TableInfo, shown_size
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
@@ -230,7 +230,7 @@ def _describe_gain(diagnosis: Diagnosis, table: TableInfo) -> str:
         alone = sum(len(one.traverses) for one in diagnosis.findings if one.traverses is not None) == 1
         left_out = "It is left out" if alone else "They are left out"
         return f"{left_out}; of all others the law leaves {format_size(diagnosis.misfit, table)} rms."
-    what = f"The law extended by {join_words([name_finding(finding) for finding in named])}"
+    what = f"The law extended by {join_words(name_findings(named))}"
     if gain is None:
         left = f"leaves {format_size(rms_after(diagnosis), table)} rms, instead of "
         cut = f"{left}{format_size(diagnosis.misfit, table)}"
@@ -283,13 +283,13 @@ def _findings_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
     )
     rows = tuple(
         (
-            finding.cause,
+            name,
             _format_effect(finding.effect),
             format_measured_range(finding.effect),
             format_p_value(finding.p_value),
             ", ".join(finding.equivalent) or MISSING,
         )
-        for finding in diagnosis.findings
+        for name, finding in zip(name_findings(diagnosis.findings), diagnosis.findings, strict=True)
     )
     note = (
         f"Effect: rms over all rows of what the cause does to {table.response}, beyond what the law's own "
@@ -315,13 +315,13 @@ def _parameter_tables(findings: Sequence[Finding]) -> list[Table]:
     )
     rows: list[tuple[str, ...]] = [
         (
-            finding.cause,
+            name,
             parameter.name,
             format_measured(shown_size(parameter), parameter.unit),
             format_measured_range(shown_size(parameter)),
             f"session {parameter.session}" if parameter.session else "",
         )
-        for finding in findings
+        for name, finding in zip(name_findings(findings), findings, strict=True)
         if finding.traverses is None
         for parameter in show_times(finding)
     ]
@@ -361,7 +361,8 @@ def _gain_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
     gain = diagnosis.gain
     if not named or gain is None:
         return []
-    steps = [(f"with {name_finding(finding)}", finding.gain) for finding in named] if len(named) > 1 else []
+    names = name_findings(named)
+    steps = [(f"with {name}", one.gain) for name, one in zip(names, named, strict=True)] if names[1:] else []
     lines: list[tuple[str, Gain | None]] = [
         ("held-out rows", gain),
         *steps,

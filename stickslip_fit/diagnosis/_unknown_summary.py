@@ -123,6 +123,15 @@ def name_finding(finding: Finding) -> str:
     return f"{UNKNOWN}: {'wave' if finding.carrier.startswith('period of ') else 'smooth function'}"
 
 
+def name_findings(findings: Sequence[Finding]) -> list[str]:
+    """Findings as a table calls them; what they follow tells apart those of one name."""
+    names = [name_finding(one) for one in findings]
+    return [
+        f"{name} ({name_carrier(one.carrier)})" if names.count(name) > 1 and one.carrier else name
+        for name, one in zip(names, findings, strict=True)
+    ]
+
+
 def describe_shape(finding: Finding) -> str:
     """What structure without a name does, without a full stop."""
     if finding.version is not None:
@@ -250,7 +259,7 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
         )
     if getattr(finding.version, "sessions", ()):
         return "Another session will have another one, so that this one predicts within its session only."
-    change, rows = term_change(diagnosis.selection, UNKNOWN), diagnosis.selection.problem.rows
+    change, rows = term_change(diagnosis.selection, finding.version), diagnosis.selection.problem.rows
     machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
     # Within one joint and direction, so that nothing else has to differ.
     groups = rows.groupby(["joint", "direction"], observed=True).indices.values()

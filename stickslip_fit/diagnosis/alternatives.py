@@ -125,8 +125,8 @@ def attribute_to_causes(
     """Alternatives in the name of the causes whose columns they follow.
 
     What a cause is a function of is its own, whatever the form of the function: one for all joints of a
-    cause's only column is a more flexible form of that cause. Those of the causes `without` are left out, and
-    those of columns that may be labels, of which the labels are the most flexible form.
+    cause's only column is a more flexible form of that cause. Alternatives and causes in `without` are left
+    out, and those of columns that may be labels, of which the labels are the most flexible form.
     """
     owner: dict[str, Any] = {}
     for cause in problem_causes:
@@ -135,6 +135,8 @@ def attribute_to_causes(
     attributed: list[Hypothesis | AR1] = []
     for one in alternatives:
         cause = owner.get(one.cause.removeprefix("unknown:"))
+        if one.cause in without:
+            continue
         if cause is None or not isinstance(one, Hypothesis):
             attributed.append(one)
         elif cause.name not in without and not hasattr(cause, "as_labels"):

@@ -18,10 +18,12 @@ from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.extension import (
     Extension,
     SelectedCause,
+    absorb_unknown,
     compute_evidence,
     extend_problem,
     fit_causes,
     make_selected,
+    name_explained,
 )
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis, compute_effects
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
@@ -104,8 +106,8 @@ def _next_cause(
     extension: Extension, selected: Sequence[SelectedCause], without: Sequence[str] = ()
 ) -> tuple[Misfit, str, float]:
     """The test with causes in the law, the likeliest cause then, and the evidence of unknown structure."""
-    trial, _, linearized = extension
-    left = compute_evidence(linearized, trial, [*(one.cause for one in selected), *without])
+    linearized = absorb_unknown(extension, selected)
+    left = compute_evidence(linearized, extension[0], [*name_explained(selected), *without])
     evidence = left.log_evidence_by_cause
     following = max((name for name in evidence if name != UNKNOWN), key=evidence.__getitem__, default=UNKNOWN)
     return left, following, evidence.get(UNKNOWN, -np.inf)
@@ -220,10 +222,11 @@ def name_combinations(
 def revise_causes(problem: DiagnosisProblem, causes: Sequence[SelectedCause]) -> list[SelectedCause]:
     """Each cause selected again with all the others in the law."""
     revised = list(causes)
-    for place in range(len(revised)):
+    for place in (place for place, one in enumerate(causes) if one.cause != UNKNOWN):
         others = [one for k, one in enumerate(revised) if k != place]
-        trial, _, linearized = extend_problem(problem, others)
-        misfit = compute_evidence(linearized, trial, [one.cause for one in others])
+        extension = extend_problem(problem, others)
+        trial, linearized = extension[0], absorb_unknown(extension, others)
+        misfit = compute_evidence(linearized, trial, name_explained(others))
         refits = refit_likeliest(trial, others, misfit)
         cause_set = form_cause_set(refits.misfit)
         if cause_set.cause != UNKNOWN:

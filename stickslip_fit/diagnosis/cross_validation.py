@@ -19,11 +19,14 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.extension import (
     SelectedCause,
+    absorb_unknown,
     compute_evidence,
     extend_problem,
     fit_causes,
+    law_causes,
     linearize_with_causes,
     make_selected,
+    name_explained,
 )
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.leave_out import Looks
@@ -300,30 +303,32 @@ def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Findi
         for part, fitted in zip(whole.problem.parts, whole.fit.parts, strict=True)
     ]
     training = replace(whole.problem, parts=tuple(parts)).select_rows(split.train)
-    starts = [
-        whole.fit.values[place] if one.version is before.version else one.start
-        for one, before, place in zip(selected, looks.named, whole.slices, strict=False)
-    ]
-    selected = [replace(one, start=start) for one, start in zip(selected, starts, strict=True)]
-    if looks.ends_unknown:
-        selection = _propose_again(replace(whole, problem=training), selected)
+    causes: list[SelectedCause] = []
+    for one, before, place in zip(selected, whole.law_causes, whole.slices, strict=True):
+        if one.cause == UNKNOWN:
+            causes = _propose_again(training, causes)
+            if causes[-1].version is None:
+                break
+        else:
+            start = whole.fit.values[place] if one.version is before.version else one.start
+            causes.append(replace(one, start=start))
+    if any(one.cause == UNKNOWN for one in causes):
+        training, fit, _ = extend_problem(training, causes)
     else:
-        fit = fit_causes(training, selected)
-        selection = replace(whole, problem=training, selected=tuple(selected), fit=fit)
+        fit = fit_causes(training, causes)
+    selection = replace(whole, problem=training, selected=tuple(causes), fit=fit)
     return _predict_by_steps(whole.problem, split, findings, selection)
 
 
-def _propose_again(selection: Selection, named: Sequence[SelectedCause]) -> Selection:
-    """The selection with these named causes, and a law for the structure that they leave."""
-    problem, fit = selection.problem, fit_causes(selection.problem, named)
-    linearized = linearize_with_causes(problem, fit, named)
-    misfit = compute_evidence(linearized, problem, [one.cause for one in named], effects=[])
+def _propose_again(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> list[SelectedCause]:
+    """The selected causes, and unknown structure beside them with a law if there is one."""
+    fit = fit_causes(problem, selected)
+    extension = problem, fit, linearize_with_causes(problem, fit, law_causes(selected))
+    linearized = absorb_unknown(extension, selected)
+    misfit = compute_evidence(linearized, problem, name_explained(selected), effects=[])
     unknown = make_selected(misfit, form_cause_set(misfit, UNKNOWN))
     rng = np.random.default_rng(0)  # of simulated noise
-    selected = propose_term(linearized, [*named, unknown], problem.expressions, rng)
-    if selected[-1].version is not None:
-        problem, fit, _ = extend_problem(problem, selected)
-    return replace(selection, problem=problem, selected=tuple(selected), fit=fit)
+    return propose_term(linearized, [*selected, unknown], problem.expressions, rng)
 
 
 def _predict_by_steps(
@@ -362,14 +367,17 @@ def extend_by_steps(
 def match_findings(causes: Sequence[SelectedCause], findings: Sequence[Finding]) -> list[int]:
     """The finding of the whole log for which each cause selected in a part of it stands.
 
-    It is the one with this cause in its cause set, or else the last.
+    It is the one with this cause in its cause set, of unknown structure one that follows the same if there is
+    one, or else the last.
     """
 
-    def match(cause: str) -> int:
-        inside = [cause in finding.cause_set for finding in findings]
-        return inside.index(True) if any(inside) else len(findings) - 1
+    def match(selected: SelectedCause) -> int:
+        inside = [k for k, finding in enumerate(findings) if selected.cause in finding.cause_set]
+        carriers = getattr(selected.version, "carriers", ())
+        same = [k for k in inside if getattr(findings[k].version, "carriers", ()) == carriers]
+        return [*same, *inside, len(findings) - 1][0]
 
-    return [match(selected.cause) for selected in causes]
+    return [match(selected) for selected in causes]
 
 
 def _prediction_errors(

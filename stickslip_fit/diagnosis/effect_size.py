@@ -43,7 +43,7 @@ def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float)
 
     `problem` is the one from which was selected, outlying rows included; `alpha` the false-alarm rate.
     """
-    linearized, slices = selection.problem.linearize(), iter(selection.slices)
+    linearized = selection.problem.linearize()
     covariance = expected_covariance(selection)
     findings = []
     for selected in selection.selected:
@@ -55,7 +55,8 @@ def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float)
                 finding = _with_law(finding, selection, selected, covariance)
             findings.append(finding)
         else:
-            findings.append(_size_cause(selection, linearized, selected, next(slices), covariance, alpha))
+            place = selection.place_of(selected.version)
+            findings.append(_size_cause(selection, linearized, selected, place, covariance, alpha))
     return tuple(sorted(findings, key=lambda finding: (finding.cause == UNKNOWN, -finding.effect.estimate)))
 
 
@@ -117,7 +118,7 @@ def _size_parameters(
 
 def _with_law(finding: Finding, selection: Selection, selected: SelectedCause, covariance: Array) -> Finding:
     """A finding of unknown structure with the term or smooth function that extends the law."""
-    version, place = selected.version, selection.slices[-1]  # it is the last of the causes
+    version, place = selected.version, selection.place_of(selected.version)
     formula = getattr(version, "formula", "")
     carrier = " and ".join(version.carriers) if formula else finding.carrier
     carrier = str(version) if isinstance(version, PeriodicTerm | PeriodicTableTerm) else carrier

@@ -34,7 +34,7 @@ def explain_structure(selection: Selection, finding: Finding) -> pd.DataFrame:
         cause; share of the structure's square that it explains; error, the rms error on held-out traverses
         (relative) with it in the law; gain, how much less that is than without.
     """
-    (unknown,) = (one for one in selection.selected if one.cause == UNKNOWN)
+    unknown = selection.behind(finding)
     misfit, problem = unknown.misfit, selection.problem
     assert misfit is not None
     named = [one for one in law_causes(selection.selected) if one.cause != UNKNOWN]

@@ -10,6 +10,7 @@ import numpy as np
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.friction import StageCause
+from stickslip_fit.causes.table_terms import PREDICTION
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes
 from stickslip_fit.diagnosis.cause_set import CauseSet
 from stickslip_fit.diagnosis.hypotheses import (
@@ -37,6 +38,8 @@ MIN_OPEN = 0.5  # whitened norm of what lambda leaves open in an effect
 LOG_STRENGTHS = (0.0, 8.0)  # logarithm of the least and the greatest strength of a smooth effect
 MIN_FINER = 10.0  # nats, of a cause that is looked at more closely
 MIN_FORM_SHARE, MAX_FORMS = 0.003, 8  # of the square of all alternative forms; their number
+# Of a proposal: singular values of effects of norm 1, and rows for each of them.
+MIN_FORM_LENGTH, ROWS_PER_FORM = 0.03, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +59,8 @@ class SelectedCause:
     p_value : float
     together_with : tuple of str
         Causes without which it would not have been found.
+    ahead_of_pairs : float
+        Nats by which unknown structure is likelier than any combination of causes.
     """
 
     cause: str
@@ -65,11 +70,26 @@ class SelectedCause:
     misfit: Misfit | None
     p_value: float
     together_with: tuple[str, ...] = ()
+    ahead_of_pairs: float = np.inf
 
 
 def law_causes(selected: Sequence[SelectedCause]) -> list[SelectedCause]:
     """Those that extend the laws."""
     return [one for one in selected if one.version is not None]
+
+
+def name_explained(selected: Sequence[SelectedCause]) -> list[str]:
+    """The causes, and the alternatives without a cause, that some selected ones stand for."""
+    names = []
+    for one in selected:
+        names.append(one.cause)
+        if one.cause == UNKNOWN and one.version is not None and one.misfit is not None:
+            names.append(f"{UNKNOWN}:{PREDICTION}")  # which is a function of the columns
+            names += [
+                one.misfit.best_subspace(UNKNOWN).cause,
+                f"{UNKNOWN}:{' and '.join(one.version.carriers)}",
+            ]
+    return names
 
 
 def assess_residuals(
@@ -131,8 +151,43 @@ def linearize_with_causes(
 ) -> LinearizedFit:
     """A fit with causes in its laws, linearized; other forms that the causes may have count as known."""
     plain = problem.linearize_extended(fit)
-    forms = [form for one in causes for form in (alternative_forms(plain, one), open_changes(plain, one))]
+    forms = [form for one in causes for form in _other_forms(plain, one)]
     return problem.linearize_extended(fit, np.concatenate(forms, axis=1)) if forms else plain
+
+
+def absorb_unknown(extension: Extension, selected: Sequence[SelectedCause]) -> LinearizedFit:
+    """The residuals of an extension without all that proposals for unknown structure may still describe.
+
+    A proposal is a guess at a form: whatever else follows the same carriers is no second finding.
+    """
+    problem, fit, linearized = extension
+    unknown = [one for one in law_causes(selected) if one.cause == UNKNOWN]
+    if not unknown:
+        return linearized
+    plain = problem.linearize_extended(fit)
+    effects = [_unknown_forms(plain, one) for one in unknown]
+    others = [form for one in law_causes(selected) for form in _other_forms(plain, one)]
+    return problem.linearize_extended(fit, np.concatenate([*others, *effects], axis=1))
+
+
+def _unknown_forms(linearized: LinearizedFit, selected: SelectedCause) -> Array:
+    """Effects of the carriers of a proposal, in its own form and in all others, whitened, (n, m)."""
+    misfit, version = selected.misfit, selected.version
+    assert misfit is not None
+    carriers = set(version.carriers)
+    others = [
+        one.version
+        for one in (misfit.best_subspace(UNKNOWN), *misfit.hypotheses)
+        if carriers == set(getattr(one.version, "carriers", ())) and not hasattr(one.version, "period")
+    ]
+    columns = []
+    for one in dict.fromkeys([version, *others]):
+        for _, trials in one.trials(linearized.rows):
+            effects = linearized.whiten(compute_changes(linearized, one, trials))
+            columns.append(effects / np.maximum(np.linalg.norm(effects, axis=0), EFFECT_TOL))
+    left, singular, _ = np.linalg.svd(np.concatenate(columns, axis=1), full_matrices=False)
+    most = max(len(linearized) // ROWS_PER_FORM, 1)
+    return left[:, singular > MIN_FORM_LENGTH][:, :most]
 
 
 def compute_evidence(
@@ -232,6 +287,11 @@ def alternative_forms(linearized: LinearizedFit, selected: SelectedCause) -> Arr
     columns = np.concatenate([*shapes, powers / np.where(length > 0, length, 1.0)], axis=1)
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return left[:, singular**2 > MIN_FORM_SHARE * np.sum(singular**2)][:, :MAX_FORMS]
+
+
+def _other_forms(linearized: LinearizedFit, selected: SelectedCause) -> tuple[Array, Array]:
+    """What is no evidence of another cause beside a selected one; each shape (n, m)."""
+    return alternative_forms(linearized, selected), open_changes(linearized, selected)
 
 
 def open_changes(linearized: LinearizedFit, selected: SelectedCause) -> Array:

@@ -155,7 +155,7 @@ def estimate_gain(
         known = [confirm(split, extending) if confirm else None for split in splits]
         errors = _collect_errors(compute, known, len(selection.problem), splits, seed, workers, progress)
         rms, rng = np.sqrt(np.mean(errors**2, axis=1)), np.random.default_rng([seed, 1])
-        campaign = _linearize_campaign(selection, [finding.cause for finding in extending], alpha)
+        campaign = _linearize_campaign(selection, extending, alpha)
         campaign = replace(campaign, recolour=recolour)
         limits = simulate_gain_interval(campaign, splits, rms, rng)
     else:
@@ -261,14 +261,13 @@ def select_in_fold(problem: DiagnosisProblem, rng: np.random.Generator, alpha: f
     return select_causes(problem, alpha, int(np.ceil(2.0 / alpha)), rng)
 
 
-def _linearize_campaign(selection: Selection, causes: Sequence[str], alpha: float) -> LinearizedCampaign:
-    """The fit with its causes, linearized, for simulated replicates; `causes` give the order."""
+def _linearize_campaign(
+    selection: Selection, findings: Sequence[Finding], alpha: float
+) -> LinearizedCampaign:
+    """The fit with its causes, linearized, for simulated replicates; `findings` give the order."""
     linearized, fit = selection.problem.with_laws_as_chosen.linearize(), selection.fit
-    by_name = {
-        selected.cause: (selected, place)
-        for selected, place in reversed([*zip(selection.law_causes, selection.slices, strict=True)])
-    }
-    selected, places = zip(*(by_name[cause] for cause in causes), strict=True)
+    selected = [selection.behind(finding) for finding in findings]
+    places = [selection.place_of(one.version) for one in selected]
     changes = [
         compute_changes(linearized, one.version, fit.values[None, place])
         for one, place in zip(selected, places, strict=True)

@@ -426,29 +426,29 @@ class Looks:
         self.selection = selection
         self.critical = selection.first_misfit.critical_value(allocate_alpha(alpha))
         self.last_critical = selection.last_misfit.critical_value(allocate_alpha(alpha))
-        self.named = [one for one in selection.law_causes if one.cause != UNKNOWN]
-        self.naming = [Look(one.misfit) for one in self.named if one.misfit is not None]
+        self.naming = [Look(one.misfit) for one in selection.law_causes if one.misfit is not None]
         self.last = Look(selection.last_misfit)
         self._refits: dict[tuple[str, str | None], Refit] = {}
 
     def select_without(self, rows: IntArray) -> list[SelectedCause] | None:
-        """The named causes as selected without some rows; None if a look is not clear without them."""
+        """The causes in the law as selected without some rows; None if a look is not clear without them.
+
+        Unknown structure is without its law, which has to be searched again.
+        """
         selected = []
-        for look, one in zip(self.naming, self.named, strict=True):
+        for look, one in zip(self.naming, self.selection.law_causes, strict=True):
             without = look.without(rows)
-            if not self._is_clear(look, without, one.cause, rows):
+            is_clear = self._is_unknown if one.cause == UNKNOWN else self._is_clear
+            if not is_clear(look, without, one, rows):
                 return None
-            selected.append(look.select(one.cause, without, rows))
-        without = self.last.without(rows)
-        ends = self._is_unknown(without) if self.ends_unknown else self._is_last(without)
-        return selected if ends else None
+            if one.cause == UNKNOWN:
+                selected.append(replace(one, version=None, start=np.zeros(0)))
+            else:
+                selected.append(look.select(one.cause, without, rows))
+        return selected if self._is_last(self.last.without(rows)) else None
 
-    @property
-    def ends_unknown(self) -> bool:
-        """Whether unknown structure was the last to be selected, and has a law."""
-        return any(one.cause == UNKNOWN for one in self.selection.law_causes)
-
-    def _is_clear(self, look: Look, without: Misfit, cause: str, rows: IntArray) -> bool:
+    def _is_clear(self, look: Look, without: Misfit, selected: SelectedCause, rows: IntArray) -> bool:
+        cause = selected.cause
         whole, evidence = look.misfit, without.log_evidence_by_cause
         statistic, own = float(logsumexp(list(evidence.values()))), evidence[cause]
         least = own - max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
@@ -497,16 +497,16 @@ class Looks:
             self._refits[cause, rival] = Refit.of(problem.linearize_extended(fit_causes(problem, causes)))
         return self._refits[cause, rival]
 
-    def _is_unknown(self, without: Misfit) -> bool:
-        """Whether unknown structure would be selected, neither another cause nor a combination."""
+    def _is_unknown(self, look: Look, without: Misfit, selected: SelectedCause, rows: IntArray) -> bool:
+        """Whether unknown structure is selected, neither a cause nor a combination of some."""
         evidence = dict(without.log_evidence_by_cause)
         statistic, own = float(logsumexp(list(evidence.values()))), evidence.pop(UNKNOWN)
         margin = max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
         return bool(
-            statistic > self.last_critical + CLEAR_TEST
-            and own > MIN_EVIDENCE_SHARE * self.last.misfit.log_evidence_by_cause[UNKNOWN]
+            statistic > self.critical + CLEAR_TEST
+            and own > MIN_EVIDENCE_SHARE * look.misfit.log_evidence_by_cause[UNKNOWN]
             and own > max(evidence.values(), default=-np.inf) + margin
-            and self.selection.pairs_behind > margin
+            and selected.ahead_of_pairs > margin
         )
 
     def _is_last(self, without: Misfit) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -96,15 +97,10 @@ def compute_shape(selected: SelectedCause, linearized: LinearizedFit) -> Array:
     return best.combine(best.coefficients(linearized.residual))
 
 
-def term_change(selection: Selection, cause: str) -> Array:
+def term_change(selection: Selection, version: Any) -> Array:
     """What a fitted cause or proposed term does to the logarithm of each count, shape (n,)."""
-    place, selected = next(
-        (place, one)
-        for place, one in zip(selection.slices, selection.law_causes, strict=True)
-        if one.cause == cause
-    )
-    values = selection.fit.values[place][None]
-    return compute_changes(selection.problem.linearize(), selected.version, values)[:, 0]
+    values = selection.fit.values[selection.place_of(version)][None]
+    return compute_changes(selection.problem.linearize(), version, values)[:, 0]
 
 
 def remove_effects(log: Log, selection: Selection, outlying: IntArray, causes: Collection[str]) -> Log:
@@ -114,7 +110,7 @@ def remove_effects(log: Log, selection: Selection, outlying: IntArray, causes: C
     """
     usable = log.rows.index[log.rows["status"] == "ok"]
     kept, steps = np.delete(usable, outlying), log.rows["steps"].astype(float)
-    changes = [term_change(selection, one.cause) for one in selection.law_causes if one.cause in causes]
+    changes = [term_change(selection, one.version) for one in selection.law_causes if one.cause in causes]
     change = sum(changes, np.zeros(len(kept)))
     expected = expected_steps(steps[kept], log.rows.loc[kept, "check_every"])
     steps[kept] += np.asarray(expected) * np.expm1(-change)
@@ -130,7 +126,7 @@ def finding_shape(selection: Selection, selected: SelectedCause) -> Array:
     linearized = selection.problem.linearize()
     if selected.cause != UNKNOWN or selected.version is None:
         return compute_shape(selected, linearized)
-    change = term_change(selection, selected.cause)[:, None]
+    change = term_change(selection, selected.version)[:, None]
     return linearized.unwhiten(linearized.project(linearized.whiten(change))[:, 0])
 
 

@@ -30,6 +30,7 @@ from stickslip_fit.diagnosis.extension import (
     OUTLIER_ALPHA_SHARE,
     Extension,
     SelectedCause,
+    absorb_unknown,
     add_candidates,
     assess_residuals,
     compute_evidence,
@@ -37,7 +38,9 @@ from stickslip_fit.diagnosis.extension import (
     extend_problem,
     law_causes,
     make_selected,
+    name_explained,
 )
+from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.hypotheses import (
     FiniteEffects,
     compute_finite_effects,
@@ -80,8 +83,6 @@ class Selection:
     influential : array of int
         Rows of `problem`, outliers each, without which there is no evidence of the cause that the search
         would have selected next.
-    pairs_behind : float
-        Nats by which unknown structure was likelier than any combination of causes, where it was named.
     """
 
     problem: DiagnosisProblem
@@ -94,7 +95,6 @@ class Selection:
     linearized: LinearizedFit
     failed: tuple[str, ...] = ()
     influential: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
-    pairs_behind: float = np.inf
 
     @property
     def law_causes(self) -> list[SelectedCause]:
@@ -106,6 +106,18 @@ class Selection:
         """Where the parameters of each of `law_causes` stand in `fit.values`."""
         ends = np.cumsum([0, *(len(selected.start) for selected in self.law_causes)]).tolist()
         return [slice(first, last) for first, last in pairwise(ends)]
+
+    def place_of(self, version: object) -> slice:
+        """Where the parameters of one of `law_causes`, given as its version, stand in `fit.values`."""
+        versions = [one.version for one in self.law_causes]
+        return self.slices[next(k for k, one in enumerate(versions) if one is version)]
+
+    def behind(self, finding: Finding) -> SelectedCause:
+        """The selected cause, or unknown structure, that a finding is of."""
+        named = [one for one in self.selected if one.cause == finding.cause]
+        same = [one for one in named if one.version is finding.version]
+        carriers = [one for one in same if follows(one, finding.carrier)]
+        return [*carriers, *same, *named][0]
 
 
 def select_causes(
@@ -142,42 +154,47 @@ def select_causes(
     fit, level = problem.fit_extended(), allocate_alpha(alpha)
     selected: list[SelectedCause] = []
     combinations: list[tuple[str, ...]] = []
-    influential, failed, pairs_behind = outliers[:0], set[str](), np.inf
+    influential, failed = outliers[:0], set[str]()
 
     def assess(extension: Extension, selected: Sequence[SelectedCause]) -> Misfit:
-        problem, _, linearized = extension
-        names = [one.cause for one in selected]
-        return assess_residuals(linearized, problem, n_bootstrap, rng, names, MAX_EXCEEDANCES)
+        searched, names = absorb_unknown(extension, selected), name_explained(selected)
+        return assess_residuals(searched, extension[0], n_bootstrap, rng, names, MAX_EXCEEDANCES)
 
     while last.p_value < level and len(selected) < MAX_CAUSES:
         refits = refit_likeliest(problem, selected, last)
         last, failed = refits.misfit, failed | {*refits.failed}
         following = make_selected(last, form_cause_set(last), refits.starts)
+        ahead_of_pairs = np.inf
         if following.cause == UNKNOWN:
             pairs = first_of_pair(problem, selected, last)
-            pairs_behind = pairs.behind
+            ahead_of_pairs = pairs.behind
             if pairs.found is not None:
                 following = pairs.found.first
                 combinations.append((following.cause, *pairs.found.others))
-        support = assess_support(linearized, last, following.cause)
+        searched = absorb_unknown((problem, fit, linearized), selected)
+        support = assess_support(searched, last, following.cause)
         if support.too_narrow:
-            broad = find_broad_cause(linearized, last, following.cause)
+            broad = find_broad_cause(searched, last, following.cause)
             if broad == UNKNOWN and problem.skewness is None:
                 influential = support.outlying
             following = make_selected(last, form_cause_set(last, broad), refits.starts)
-        if following.cause == UNKNOWN:
-            selected.append(following)
-            break
         chosen = [*selected, following]
+        if following.cause == UNKNOWN:
+            chosen[-1] = replace(following, ahead_of_pairs=ahead_of_pairs)
+            chosen = propose_term(searched, chosen, problem.expressions, rng)
+            if chosen[-1].version is None:
+                selected = chosen
+                break
         extension = refits.extensions.get(following.cause) or extend_problem(problem, chosen)
-        if selected:
+        if selected and following.cause != UNKNOWN:
             revised = revise_causes(extension[0], chosen)
             # In another version a cause of the same name has other parameters.
             if [(one.cause, one.version) for one in revised] != [(one.cause, one.version) for one in chosen]:
                 extension = extend_problem(extension[0], revised)
             chosen = revised
         last = assess(extension, chosen)
-        if exchange := find_exchange(problem, chosen, extension, last, refits, level):
+        is_named = chosen[-1].cause != UNKNOWN
+        if is_named and (exchange := find_exchange(problem, chosen, extension, last, refits, level)):
             trial = [*chosen[:-1], exchange.first]
             other = refits.extensions.get(exchange.first.cause) or extend_problem(problem, trial)
             if (other_test := assess(other, trial)).p_value < level:
@@ -186,20 +203,21 @@ def select_causes(
         selected = chosen
         problem, fit, linearized = extension
     selected = name_combinations(selected, combinations)
-    if selected and selected[-1].cause == UNKNOWN:
-        selected = propose_term(linearized, selected, problem.expressions, rng)
-        if selected[-1].version is not None:
-            problem, fit, linearized = extend_problem(problem, selected)
     everything = (*misfires, *selected)
     results = first, last, p_value, fit, linearized
-    selection = Selection(
-        problem, outliers, everything, *results, tuple(sorted(failed)), influential, pairs_behind
-    )
+    selection = Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
     # Beside an effect far above the noise, of which the test knows the linear part alone, rows look outlying
     # that the law with its cause explains.
     if len(explained := explain_outliers(selection, every, outliers)):
         return select_causes(every, alpha, n_bootstrap, rng, np.union1d(trusted, explained))
     return selection
+
+
+def follows(selected: SelectedCause, carrier: str) -> bool:
+    """Whether a carrier is that of the unknown structure that was selected."""
+    if selected.cause != UNKNOWN or selected.misfit is None:
+        return False
+    return selected.misfit.best_hypothesis(UNKNOWN).cause == f"{UNKNOWN}:{carrier}"
 
 
 def find_broad_cause(linearized: LinearizedFit, misfit: Misfit, narrow: str) -> str:

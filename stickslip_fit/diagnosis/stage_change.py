@@ -236,9 +236,9 @@ def _read(
     response, effect = problem.responses.copy(), np.zeros(len(problem))
     for one in selection.law_causes:
         if one.cause in causes:
-            effect += term_change(selection, one.cause)
+            effect += term_change(selection, one.version)
         elif one.cause in courses or isinstance(one.version, CountCause | StateCause):
-            response -= term_change(selection, one.cause)  # all else may be what the physical law is about
+            response -= term_change(selection, one.version)  # all else may be what the physical law is about
     ways = (problem.rows["direction"] == "-").to_numpy()
     prints = []
     for joint in sorted({part.law.joint for part in problem.parts}):

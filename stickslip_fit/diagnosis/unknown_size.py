@@ -137,7 +137,8 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
     if selected.version is None:
         left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
     else:
-        law = estimate_effect(selection, problem.linearize(), selected, selection.slices[-1])
+        place = selection.place_of(selected.version)
+        law = estimate_effect(selection, problem.linearize(), selected, place)
         linearized = problem.linearize_extended(selection.fit)
         candidates = _beyond_law(misfit, linearized)
     ratio = (expect_noise(problem, selection.linearized, left).scale / problem.scale) ** 2

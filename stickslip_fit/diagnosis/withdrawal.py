@@ -45,11 +45,10 @@ def withdraw_causes(
     What is said of it is what was found, with the size that it has as the cause: what unstructured
     alternatives see of it may be less, or another thing.
     """
-    names = [one.cause for one in unsupported]
-    if names == [UNKNOWN]:
-        return _withdraw_term(selection, findings)
-    names = [name for name in names if name != UNKNOWN]
     withdrawn = [one for one in unsupported if one.cause != UNKNOWN]
+    if not withdrawn:
+        return _withdraw_terms(selection, findings, unsupported)
+    names = [one.cause for one in withdrawn]
     first = next(one for one in selection.selected if one.cause in names)
     assert first.misfit is not None
     withdrawn.sort(key=lambda one: one.cause != first.cause)
@@ -62,9 +61,15 @@ def withdraw_causes(
     )
     before = [one for one in findings if one.withdrawn]
     withdrawn += [one for finding in before for one in finding.withdrawn]
-    others = [one for one in selection.selected if one.cause not in (*names, UNKNOWN)]
+    # What has no name but was found first does not rest on what is withdrawn.
+    before_it = selection.selected[: selection.selected.index(first)]
+    others = [
+        one
+        for one in selection.selected
+        if one.cause not in (*names, UNKNOWN) or (one in before_it and one.version is not None)
+    ]
     smaller = refit_selection(selection, (*others, unknown))
-    kept = [one for one in findings if one.cause not in (*names, UNKNOWN)]
+    kept = [one for one in findings if selection.behind(one) in others]
     finding = Finding(
         UNKNOWN,
         None,
@@ -87,19 +92,22 @@ def _name_carrier(finding: Finding) -> str:
     return " and ".join("time" if name == "session_seconds" else name for name in columns) or finding.cause
 
 
-def _withdraw_term(
-    selection: Selection, findings: Sequence[Finding]
+def _withdraw_terms(
+    selection: Selection, findings: Sequence[Finding], unsupported: Sequence[Finding]
 ) -> tuple[Selection, tuple[Finding, ...]]:
-    """The selection and its findings without a law for unknown structure."""
+    """The selection and its findings without the laws for some unknown structure."""
+    terms = [selection.behind(one) for one in unsupported]
     smaller = refit_selection(
         selection,
         tuple(
-            replace(one, version=None, start=np.zeros(0)) if one.cause == UNKNOWN else one
+            replace(one, version=None, start=np.zeros(0)) if one in terms else one
             for one in selection.selected
         ),
     )
     return smaller, tuple(
-        replace(one, version=None, term="", parameters=(), gain=None) if one.cause == UNKNOWN else one
+        replace(one, version=None, term="", parameters=(), gain=None)
+        if any(one is other for other in unsupported)
+        else one
         for one in findings
     )
 

@@ -31,7 +31,7 @@ from stickslip_fit.laws import StepLaw, traverse_length
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.log import CHANGED
 from stickslip_fit.machine import Machine
-from stickslip_fit.units import from_si
+from stickslip_fit.units import UNITS, from_si
 
 
 @dataclass(frozen=True)
@@ -356,7 +356,8 @@ def convert_table(table: pd.DataFrame, numbers: Sequence[str]) -> pd.DataFrame:
     table = table.copy()
     for name in numbers:
         values = zip(table[name].to_numpy(float), table["unit"], strict=True)
-        table[name] = np.array([from_si(float(value), unit) for value, unit in values], dtype=float)
+        shown = [from_si(float(value), unit) if unit in UNITS else value for value, unit in values]
+        table[name] = np.array(shown, dtype=float)
     return table
 
 

@@ -260,7 +260,7 @@ def plot_residuals(diagnosis: Diagnosis, finding: int) -> Figure:
     if not 0 <= finding < len(diagnosis.findings):
         raise InputError(f"there is no finding {finding}: this diagnosis has {len(diagnosis.findings)}")
     chosen = diagnosis.findings[finding]
-    selected = next(cause for cause in diagnosis.selection.selected if cause.cause == chosen.cause)
+    selected = diagnosis.selection.behind(chosen)
     if selected.misfit is None:
         raise InputError("misfires have no shape to draw; the finding's `traverses` are those counts")
     shape = finding_shape(diagnosis.selection, selected)

@@ -149,12 +149,12 @@ def _rms(values: Array) -> float:
 def finding_pictures(diagnosis: Diagnosis, table: TableInfo) -> list[Picture]:
     """Of each finding that has a shape: residuals before and after over the column that it follows."""
     comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
-    selected = {one.cause: one for one in diagnosis.selection.selected}
-    pictures = []
+    pictures: list[Picture] = []
     for finding in diagnosis.findings:
-        if selected[finding.cause].misfit is None:
+        selected = diagnosis.selection.behind(finding)
+        if selected.misfit is None:
             continue
-        label, figure = _draw_finding(diagnosis, table, finding, selected[finding.cause], comparison)
+        label, figure = _draw_finding(diagnosis, table, finding, selected, comparison)
         is_named = finding.version is not None
         caption = f"Over {label}. Points: values; lines: means by class with 95 % bars. "
         before, after = _size(_rms(comparison.before), table), _size(_rms(comparison.after), table)
@@ -167,6 +167,7 @@ def finding_pictures(diagnosis: Diagnosis, table: TableInfo) -> list[Picture]:
         else:
             caption += f"{after} rms; noise alone would keep the lines within the grey band."
         key = "finding-" + "".join(letter if letter.isalnum() else "-" for letter in finding.cause)
+        key += f"-{len(pictures) + 1}" * any(one.key == key for one in pictures)
         title = f"{finding.cause}: residuals{' before and after' if is_named else ''}"
         pictures.append(make_picture(key, title, caption, figure))
     return pictures
@@ -177,7 +178,7 @@ def plot_table_finding(diagnosis: Diagnosis, table: TableInfo, finding: int) -> 
     if not 0 <= finding < len(diagnosis.findings):
         raise InputError(f"there is no finding {finding}: this diagnosis has {len(diagnosis.findings)}")
     chosen = diagnosis.findings[finding]
-    selected = next(one for one in diagnosis.selection.selected if one.cause == chosen.cause)
+    selected = diagnosis.selection.behind(chosen)
     if selected.misfit is None:
         raise InputError("outlying values have no shape to draw; the finding's `traverses` are those rows")
     comparison = compare_residuals(diagnosis.selection, diagnosis.seed)

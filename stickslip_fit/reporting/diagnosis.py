@@ -10,7 +10,7 @@ import numpy as np
 from stickslip_fit._format import format_p_value, format_percent, join_words, typeset_text
 from stickslip_fit._summary import Section, Summary, load_page_assets, load_template
 from stickslip_fit.diagnosis import Diagnosis
-from stickslip_fit.diagnosis._unknown_summary import name_finding
+from stickslip_fit.diagnosis._unknown_summary import name_findings
 from stickslip_fit.diagnosis.residuals import ResidualComparison, compare_residuals, finding_shape
 from stickslip_fit.machine import load_machine
 from stickslip_fit.plotting._svg import Picture
@@ -54,9 +54,8 @@ def make_diagnosis_section(diagnosis: Diagnosis, command: str = "") -> Summary:
 def _finding_pictures(diagnosis: Diagnosis, comparison: ResidualComparison) -> Iterator[Picture]:
     """Residuals before and after each finding that has a shape."""
     machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
-    selected = {cause.cause: cause for cause in diagnosis.selection.selected}
     for finding in diagnosis.findings:
-        cause = selected[finding.cause]
+        cause = diagnosis.selection.behind(finding)
         if cause.misfit is not None:
             shape = finding_shape(diagnosis.selection, cause)
             yield finding_picture(finding, cause, shape, comparison, machine)
@@ -96,9 +95,9 @@ def _conclude(diagnosis: Diagnosis) -> str:
     if not diagnosis.findings:
         return diagnosis.summary().headline[0]
     found = [
-        f"{name_finding(one)} ({format_percent(one.effect.estimate)} rms in "
+        f"{name} ({format_percent(one.effect.estimate)} rms in "
         f"{'joint' if len(one.joints) == 1 else 'joints'} {join_words([str(joint) for joint in one.joints])})"
-        for one in diagnosis.findings
+        for name, one in zip(name_findings(diagnosis.findings), diagnosis.findings, strict=True)
     ]
     p_value = format_p_value(diagnosis.p_value, relation=True)
     return typeset_text(f"Found: {join_words(found)}; p {p_value} for the whole search.")

@@ -21,7 +21,7 @@ from stickslip_fit.anova import Anova, analyze_variance
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis import Diagnosis, diagnose
 from stickslip_fit.diagnosis._methods import describe_methods, list_references
-from stickslip_fit.diagnosis._unknown_summary import name_finding
+from stickslip_fit.diagnosis._unknown_summary import name_findings
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import (
@@ -166,7 +166,7 @@ def report(
         fit = fit_least_squares(log, laws=laws, causes=causes, command=command)
     if calibration is None:
         calibration = _calibrate(log, laws, fit if causes else None, command)
-    known_causes = [*(cause.name for cause in causes), *map(name_finding, common)]
+    known_causes = [*(cause.name for cause in causes), *name_findings(common)]
     results = _Results(log, calibration, fit, anova or analyze_variance(log), found, compared, known_causes)
     return Report(_write_title(log), _render(results, command, figures="figures" in sections), log.files)
 
@@ -279,7 +279,7 @@ def _make_sections(
     )
     named, corrected = [], None
     if diagnosis is not None and is_extended(diagnosis):
-        named = list(map(name_finding, extending))
+        named = name_findings(extending)
         corrected = analyze_variance(diagnosis.corrected_log())
     sections = [
         measured_section(log),

@@ -172,8 +172,9 @@ def test_a_law_for_unknown_structure_is_searched_anew_in_each_fold(tmp_path):
     confirmed = confirm_held_out_errors(looks, split, findings)
     np.testing.assert_allclose(confirmed[0], repeated[0], rtol=1e-6)
     assert np.sqrt(np.mean((confirmed[1] - repeated[1]) ** 2)) < 0.02 * after
-    paired = prepare_looks(replace(selection, pairs_behind=2.0), ALPHA)
-    assert confirm_held_out_errors(paired, split, findings) is None
+    (unknown,) = selection.selected
+    paired = replace(selection, selected=(replace(unknown, ahead_of_pairs=2.0),))
+    assert confirm_held_out_errors(prepare_looks(paired, ALPHA), split, findings) is None
 
 
 def test_looks_that_are_not_clear_are_left_to_the_whole_selection(problem):

@@ -48,6 +48,39 @@ def test_a_short_term_is_proposed_and_predicts_what_was_not_seen(law, bend, form
     assert rms(fit.predict(fresh)["predicted"] - fresh["y"]) < 0.25 * rms(before)
 
 
+def test_what_follows_two_columns_is_proposed_for_both_and_predicts(tmp_path):
+    def bends(x, z):
+        return 0.15 * (x - 5.0) ** 2 + 1.2 * np.tanh(4.0 * z)
+
+    law, fresh = "y ~ a + b*x + c*z", bent(6, bends, n=2000, sd=0.0)
+    frame = bent(5, bends, n=200, sd=0.3)
+    diagnosis = ssf.diagnose_table(frame, law)
+    first, second = diagnosis.findings
+    assert {(first.cause, first.carrier), (second.cause, second.carrier)} == {
+        ("unknown", "x"),
+        ("unknown", "z"),
+    }
+    assert f"Besides that: y follows {second.carrier}" in diagnosis.summary().headline[1]
+    assert "unknown: proposed term and unknown: smooth function" in diagnosis.summary().headline[2]
+    assert first.gain.extended == second.gain.baseline > second.gain.extended == diagnosis.gain.extended
+    fit = diagnosis.extended_law()
+    assert len({one.name for one in fit.law.parameters}) == len(fit.law.parameters)
+    predicted = fit.predict(fresh)
+    before = ssf.fit_table(frame, law).predict(fresh)["predicted"] - fresh["y"]
+    assert rms(predicted["predicted"] - fresh["y"]) < 0.12 * rms(before)
+    fit.save(tmp_path / "law.json")
+    pd.testing.assert_frame_equal(predicted, ssf.load_table_fit(tmp_path / "law.json").predict(fresh))
+
+
+def test_what_a_proposal_only_comes_near_is_no_second_finding():
+    rng = np.random.default_rng(10)
+    x, own = rng.uniform(-1.0, 1.0, (2, 180))
+    z = 0.7 * x + 0.5 * own
+    y = x + z + 5.0 * np.abs(x - 0.1) + 0.02 * rng.standard_normal(180)
+    diagnosis = ssf.diagnose_table(pd.DataFrame({"x": x, "z": z, "y": y}), "y ~ a + b*x + c*z", gain=False)
+    assert [one.carrier for one in diagnosis.findings] == ["x"]
+
+
 def test_where_no_short_term_does_a_smooth_function_predicts(tmp_path):
     def bump(x, z):
         return 2.0 * np.exp(-0.5 * ((x - 4.0) / 0.6) ** 2)
