@@ -3,7 +3,8 @@
 Forward selection fails in two ways. Two effects may act so that neither alone explains more than unstructured
 alternatives do: pairs are tried before `unknown` is said (`first_of_pair`). Or a wrong cause may explain
 more alone than either of two right ones: each selected cause is compared with its close rivals, another
-cause added to these (`find_exchange`).
+cause added to these (`find_exchange`). At the end, causes that the others make needless are dropped
+(`find_needless`).
 """
 
 from __future__ import annotations
@@ -233,6 +234,30 @@ def revise_causes(problem: DiagnosisProblem, causes: Sequence[SelectedCause]) ->
             one = make_selected(refits.misfit, cause_set, refits.starts)
             revised[place] = replace(one, p_value=causes[place].p_value)
     return revised
+
+
+def find_needless(
+    problem: DiagnosisProblem, selected: Sequence[SelectedCause], whole: ExtendedFit, most: float
+) -> list[tuple[list[SelectedCause], Extension]]:
+    """The laws without one of the selected causes that are hardly less likely than the `whole`.
+
+    What is selected later, unknown structure above all, may do as well what an earlier cause was needed for.
+
+    Returns
+    -------
+    list of (selected, Extension)
+        Those whose penalised likelihood is less by at most `most` nats, the likeliest first.
+    """
+    to_beat = penalised_likelihood(problem, whole) - most
+    found = []
+    for place in range(len(selected)):
+        others = [one for k, one in enumerate(selected) if k != place]
+        extension = extend_problem(problem, others)
+        likelihood = penalised_likelihood(*extension[:2])
+        if likelihood > to_beat:
+            found.append((likelihood, others, extension))
+    found.sort(key=lambda one: -one[0])
+    return [(others, extension) for _, others, extension in found]
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from stickslip_fit.diagnosis.cause_set import CauseSet, form_cause_set
 from stickslip_fit.diagnosis.combinations import (
     PAIR_MIN_LOG_BAYES_FACTOR,
     find_exchange,
+    find_needless,
     first_of_pair,
     name_combinations,
     refit_likeliest,
@@ -202,6 +203,14 @@ def select_causes(
                 combinations.append((exchange.first.cause, *exchange.others))
         selected = chosen
         problem, fit, linearized = extension
+    while len(selected) > 1 and last.p_value >= level:
+        for others, extension in find_needless(problem, selected, fit, first.critical_value(level)):
+            if (without := assess(extension, others)).p_value >= level:
+                selected, last = others, without
+                problem, fit, linearized = extension
+                break
+        else:
+            break
     selected = name_combinations(selected, combinations)
     everything = (*misfires, *selected)
     results = first, last, p_value, fit, linearized

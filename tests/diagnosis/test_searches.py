@@ -7,9 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stickslip_fit.causes import library
 from stickslip_fit.diagnosis import diagnose, pipeline
+from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.combinations import find_needless
+from stickslip_fit.diagnosis.extension import compute_evidence, extend_problem, make_selected
 from stickslip_fit.diagnosis.noise import Outliers
+from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.logs import read_log
+from tests.hidden.generate import hide
 
 MISFIRE = "end-stop-misfire"
 
@@ -39,3 +45,17 @@ def test_outliers_are_the_rows_that_the_last_search_was_made_without(searches, c
     assert finding.cause == MISFIRE
     assert len(finding.traverses) == len(log) - searches[-1]
     assert list(finding.traverses.index) == list(range(pipeline.MAX_SEARCHES - 1))
+
+
+def test_a_cause_without_which_the_law_is_as_likely_is_needless(tmp_path):
+    """Only drift is hidden; side-load is fitted to noise."""
+    hide("thesis", ("drift",), 14, seed=3).write(tmp_path / "log.csv")
+    causes = [cause for cause in library() if cause.name in ("drift", "side-load")]
+    problem, _ = problem_from_log(read_log(tmp_path / "log.csv"), causes)
+    misfit = compute_evidence(problem.linearize(), problem)
+    selected = [make_selected(misfit, form_cause_set(misfit, name)) for name in ("drift", "side-load")]
+    _, whole, _ = extend_problem(problem, selected)
+    ((others, (_, fit, _)),) = find_needless(problem, selected, whole, most=5.0)
+    assert [one.cause for one in others] == ["drift"]
+    assert len(fit.values) == 1
+    assert len(find_needless(problem, selected, whole, most=1e6)) == len(selected)

@@ -1,7 +1,7 @@
 """Many logs with known truth put through the diagnosis: how often it is right.
 
 ``python -m tests.hidden.study --logs 40`` prints a table; it is what the figures in benchmarks/README.md come
-from.
+from. Of the kind `mixed` is one cause of the library beside an effect from outside of it.
 """
 
 from __future__ import annotations
@@ -75,6 +75,8 @@ def make(case: Case, replicate: int = 0) -> Hidden | None:
         if len(able) < number:
             return None
         names = tuple(map(str, rng.choice(able, number, replace=False)))
+        if case.kind == "mixed":
+            names = (*names, str(rng.choice(list(OUTSIDE))))
     decoys = DECOYS if case.kind == "nothing" else ()
     try:
         return hide(
