@@ -182,9 +182,8 @@ def withdrawn(diagnosis):
 def test_a_cause_that_is_withdrawn_has_its_reason_in_the_responses_unit(named):
     unknown = withdrawn(named)
     assert unknown.cause == "unknown"
-    assert re.search(
-        r"held-out rows are not predicted better \(0\.\d+ N, without it 0\.\d+ N\)", unknown.note
-    )
+    held_out = "held-out rows, each given those before it, are not predicted better"
+    assert re.search(rf"{held_out} \(0\.\d+ N, without it 0\.\d+ N\)", unknown.note)
 
 
 def days():
