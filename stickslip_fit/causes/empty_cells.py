@@ -20,6 +20,7 @@ from stickslip_fit.logs._numbers import is_empty_number
 
 MAX_SHARE_LOST = 0.1  # of the rows, for the sake of columns that only might matter
 MAX_ROWS_NAMED = 8
+MIN_NINES = 3  # of a number that stands for a missing value; two where it comes more than once
 OVERFLOW = 9e37  # and above: what instruments write for an overflow, SCPI 1999, 7.2.1.4
 
 
@@ -50,6 +51,8 @@ def leave_out_empty(
     frame = frame.set_axis(pd.RangeIndex(len(frame)), axis=0)
     needed = [name for name in dict.fromkeys([*numbers, *others]) if name in frame]
     frame, notes = _without_overflow(frame)
+    frame, marks = _without_nines(frame)
+    notes += marks
     empty = {name: _find_empty(frame[name], name in numbers) for name in needed}
     if issues := [InputIssue("is empty in every row", column=name) for name in needed if empty[name].all()]:
         raise InputError(issues)
@@ -152,3 +155,38 @@ def _without_overflow(frame: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...
             notes += (f"{value:g} in {name} is how instruments mark an overflow, and counts as empty.",)
             frame = frame.assign(**{name: frame[name].mask(marked)})
     return frame, notes
+
+
+def _without_nines(frame: pd.DataFrame) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """Numbers of nines, such as -999, that are farther from all others than those are from each other."""
+    notes: tuple[str, ...] = ()
+    for name in [name for name in frame if frame[name].dtype.kind in "fiu"]:
+        cells = frame[name].to_numpy(float, na_value=np.nan)
+        ends = np.array([np.nanmin(cells), np.nanmax(cells)]) if np.isfinite(cells).any() else np.zeros(0)
+        for mark in dict.fromkeys(ends.tolist()):
+            marked = cells == mark
+            others = cells[np.isfinite(cells) & ~marked]
+            least = MIN_NINES - 1 if np.count_nonzero(marked) > 1 else MIN_NINES
+            if _count_nines(mark) < least or not len(np.unique(others)) > 2:
+                continue
+            if np.abs(others - mark).min() > np.ptp(others):
+                count = pluralize(int(np.count_nonzero(marked)), "cell")
+                notes += (
+                    f"{mark:.15g} in {name}, {count} far from all others, is how files mark what was not "
+                    "measured, and counts as empty: check that none of them was measured.",
+                )
+                cells = np.where(marked, np.nan, cells)
+                frame = frame.assign(**{name: cells})
+    return frame, notes
+
+
+def _count_nines(value: float) -> int:
+    """How many nines a number consists of, whatever its sign and point; 0 where it has another digit.
+
+    Examples
+    --------
+    >>> _count_nines(-999.0), _count_nines(99.9), _count_nines(909.0)
+    (3, 3, 0)
+    """
+    digits = f"{abs(value):.15g}".replace(".", "")
+    return len(digits) if set(digits) == {"9"} else 0

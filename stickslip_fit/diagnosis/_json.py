@@ -67,6 +67,10 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
+# Errors on held-out rows, each given those before it, where the noise persists.
+GIVEN_BEFORE = ("baseline_given_before_pct", "extended_given_before_pct")
+
+
 @dataclass(frozen=True)
 class _Percent:
     """Sizes as per cent of `whole`."""
@@ -86,6 +90,7 @@ class _Percent:
             "low": self.of(gain.low),
             "high": self.of(gain.high),
             **({"held_out": gain.held_out} if gain.held_out else {}),
+            **dict(zip(GIVEN_BEFORE, map(self.of, gain.given_before), strict=False)),
         }
 
 

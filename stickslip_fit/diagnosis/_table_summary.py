@@ -54,6 +54,7 @@ from stickslip_fit.units import Interval, TableUnit
 MAX_PARAMETERS_NAMED = 4
 MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
 MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
+GIVEN_BEFORE = "each given those before it"
 TIMES = ("tau", "moment")  # parameters of generic causes
 
 
@@ -189,11 +190,12 @@ def _describe_shape(finding: Finding, table: TableInfo) -> str:
 def _describe_withdrawn(finding: Finding, table: TableInfo) -> str:
     """What fits best but is not named, with the reason, without a full stop."""
     assert finding.gain is not None
-    after, before = (format_size(error, table) for error in (finding.gain.extended, finding.gain.baseline))
+    before, after = (format_size(error, table) for error in finding.gain.judged)
+    given = f", {GIVEN_BEFORE}," if finding.gain.given_before else ""
     return (
         f"{describe_table_effect(finding, table)}: of all that was searched this fits best "
-        f"(p {format_p_value(finding.p_value, relation=True)}), but held-out rows are not predicted better "
-        f"with it ({after}, without it {before}), so that {finding.cause} is not named"
+        f"(p {format_p_value(finding.p_value, relation=True)}), but held-out rows{given} are not predicted "
+        f"better with it ({after}, without it {before}), so that {finding.cause} is not named"
     )
 
 
@@ -241,6 +243,9 @@ def _describe_gain(diagnosis: Diagnosis, table: TableInfo) -> str:
             f"cuts the prediction error on held-out rows from {format_significant(gain.baseline)} to "
             f"{format_size(gain.extended, table)}"
         )
+    if gain is not None and gain.given_before:
+        before, after = gain.given_before
+        cut += f" ({GIVEN_BEFORE}: from {format_significant(before)} to {format_size(after, table)})"
     advice = "".join(_what_separates(finding, diagnosis) for finding in named)
     return f"{what} {cut}; the noise is {noise}.{advice}"
 
@@ -368,14 +373,22 @@ def _gain_tables(diagnosis: Diagnosis, table: TableInfo) -> list[Table]:
         *steps,
         ("a new session", diagnosis.gain_new_session),
     ]
-    rows = tuple((name, *_gain_cells(one)) for name, one in lines if one is not None)
+    rows = [(name, *_gain_cells(one)) for name, one in lines if one is not None]
     heads = ("law", "extended law", "gain", "95 % interval", "noise")
     columns = (Column("predicted", text=True), *(Column(head, table.unit) for head in heads))
     note = (
         f"Rms error of {table.response} on rows that took no part in choosing or fitting anything: "
         f"{gain.held_out} were held out. The interval is for a fresh replicate of this table."
     )
-    return [Table("What the extended law gains", columns, rows, note=note)]
+    if gain.given_before:
+        before, after = gain.given_before
+        cells = (*map(format_significant, (before, after, before - after)), MISSING, MISSING)
+        rows.insert(1, (GIVEN_BEFORE, *cells))
+        note += (
+            " Noise that persists hides in such an error what is smaller than its slow part: a finding is "
+            "judged by the error of each row given those of the rows before it that were held out with it."
+        )
+    return [Table("What the extended law gains", columns, tuple(rows), note=note)]
 
 
 def _gain_cells(gain: Gain) -> tuple[str, ...]:

@@ -259,7 +259,8 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
         )
     if getattr(finding.version, "sessions", ()):
         return "Another session will have another one, so that this one predicts within its session only."
-    change, rows = term_change(diagnosis.selection, finding.version), diagnosis.selection.problem.rows
+    selection = diagnosis.selection
+    change, rows = term_change(selection, selection.behind(finding).version), selection.problem.rows
     machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
     # Within one joint and direction, so that nothing else has to differ.
     groups = rows.groupby(["joint", "direction"], observed=True).indices.values()

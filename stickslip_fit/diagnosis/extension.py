@@ -10,6 +10,7 @@ import numpy as np
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.friction import StageCause
+from stickslip_fit.causes.periodic import PeriodicTime
 from stickslip_fit.causes.table_terms import PREDICTION
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes
 from stickslip_fit.diagnosis.cause_set import CauseSet
@@ -40,6 +41,7 @@ MIN_FINER = 10.0  # nats, of a cause that is looked at more closely
 MIN_FORM_SHARE, MAX_FORMS = 0.003, 8  # of the square of all alternative forms; their number
 # Of a proposal: singular values of effects of norm 1, and rows for each of them.
 MIN_FORM_LENGTH, ROWS_PER_FORM = 0.03, 6
+MAX_HARMONIC = 12  # of a strict period, near which nothing is another finding
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,16 +160,28 @@ def linearize_with_causes(
 def absorb_unknown(extension: Extension, selected: Sequence[SelectedCause]) -> LinearizedFit:
     """The residuals of an extension without all that proposals for unknown structure may still describe.
 
-    A proposal is a guess at a form: whatever else follows the same carriers is no second finding.
+    A proposal is a guess at a form: whatever else follows the same carriers is no second finding. Nor is what
+    a wave's harmonics have beside them, as its shape slowly changes.
     """
     problem, fit, linearized = extension
     unknown = [one for one in law_causes(selected) if one.cause == UNKNOWN]
-    if not unknown:
+    periods = [one.version.period for one in law_causes(selected) if isinstance(one.version, PeriodicTime)]
+    if not unknown and not periods:
         return linearized
     plain = problem.linearize_extended(fit)
     effects = [_unknown_forms(plain, one) for one in unknown]
+    effects += [_beside_harmonics(plain, period) for period in periods]
     others = [form for one in law_causes(selected) for form in _other_forms(plain, one)]
     return problem.linearize_extended(fit, np.concatenate([*others, *effects], axis=1))
+
+
+def _beside_harmonics(linearized: LinearizedFit, period: float) -> Array:
+    """Waves at and beside the harmonics of a period, as near as the record's length resolves, whitened."""
+    seconds = np.asarray(linearized.columns["session_seconds"], float)
+    shifts = np.array([0.0, -1.0, 1.0, -0.5, 0.5]) / float(seconds.max())
+    rates = np.concatenate([k / period + shifts for k in range(1, MAX_HARMONIC + 1)])
+    angles = 2.0 * np.pi * seconds[:, None] * rates[: len(seconds) // (2 * ROWS_PER_FORM)]
+    return linearized.whiten(np.concatenate([np.cos(angles), np.sin(angles)], axis=1))
 
 
 def _unknown_forms(linearized: LinearizedFit, selected: SelectedCause) -> Array:

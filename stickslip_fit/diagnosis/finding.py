@@ -54,6 +54,9 @@ class Gain:
         What was held out together, where that is not a log's configurations.
     by_joint : DataFrame
         Of a log: joint, direction, baseline, extended, traverses.
+    given_before : tuple of float
+        Where the noise of a table persists: both errors of a row given those of the rows before it that were
+        held out with it, that is of its innovation. Empty where noise is independent.
     """
 
     baseline: float
@@ -64,6 +67,16 @@ class Gain:
     by_session: pd.DataFrame
     held_out: str = ""
     by_joint: pd.DataFrame = field(default_factory=pd.DataFrame, repr=False)
+    given_before: tuple[float, ...] = ()
+
+    @property
+    def judged(self) -> tuple[float, float]:
+        """The errors, before and after, by which what extends the law is judged.
+
+        Noise that persists hides in the errors themselves whatever is smaller than its slow part.
+        """
+        before, after = self.given_before or (self.baseline, self.extended)
+        return before, after
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ import pandas as pd
 
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.diagnosis.autocorrelation import variance_over_innovations
 from stickslip_fit.diagnosis.cross_validation import (
     Selector,
     Split,
@@ -224,7 +225,21 @@ def _make_gain(selection: Selection, splits: Sequence[Split], errors: Array, lim
         float(limits[1]),
         _root_mean_squares(squares, ["session"]),
         by_joint=_root_mean_squares(squares, keys[1:]).sort_values(keys[1:], ignore_index=True),
+        given_before=_rms_innovations(selection.problem, splits, errors),
     )
+
+
+def _rms_innovations(problem: DiagnosisProblem, splits: Sequence[Split], errors: Array) -> tuple[float, ...]:
+    """As of `Gain.given_before`, of errors of shape (2, number held out)."""
+    noise = problem.autocorrelation
+    if noise is None or not len(noise.coefficients):
+        return ()
+    squares, first = np.zeros(2), 0
+    for split in splits:
+        own = errors[:, first : (first := first + len(split.held_out))] / problem.scale[split.held_out]
+        squares += np.sum(noise.select(split.held_out).whiten(own.T) ** 2, axis=0)
+    sd = np.sqrt(np.mean(problem.scale**2) / variance_over_innovations(noise.coefficients))
+    return tuple((sd * np.sqrt(squares / errors.shape[1])).tolist())
 
 
 def _root_mean_squares(squares: pd.DataFrame, by: list[str]) -> pd.DataFrame:

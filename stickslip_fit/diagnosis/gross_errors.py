@@ -19,7 +19,7 @@ from scipy.special import stdtr, stdtrit
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, split_positions
-from stickslip_fit.diagnosis.noise import Outliers
+from stickslip_fit.diagnosis.noise import NEIGHBOURS, Outliers, find_runs
 from stickslip_fit.diagnosis.noise_shape import fit_skewness
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, select_outliers
@@ -34,7 +34,6 @@ RANK_TOL = 1e-6  # singular values of a block's Jacobian, relative to the larges
 PRIOR_DF = 4.0  # of the usual noise, for that of one block
 MIN_RELATIVE_SD = 0.3  # of a drive's noise, relative to that of all drives
 MAX_SHARE, MAX_ANYWAY = 0.05, 2  # of the rows; more are an effect, but for so few
-NEIGHBOURS = 2  # traverses before and after in time
 SHARED_DEPARTURE = 0.25  # of a row's departure; a neighbour with more has it too
 
 
@@ -67,7 +66,7 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
         return np.minimum(1.0, 2.0 * len(problem) * stdtr(TAIL_DF, -np.abs(own)))
 
     rows = np.flatnonzero(compute_p_values(z / ratio) < level)
-    rows = rows[~_have_company(z, rows, problem)]
+    rows = rows[~(_have_company(z, rows, problem) | find_runs(rows, problem.smooth_columns, z[:, None]))]
     # A robust fit with few rows for each parameter runs through most of them, and far from the others.
     p_values = np.ones(len(problem))
     p_values[rows] = compute_p_values(_deviation_from_others(problem, parts, ratio, rows))

@@ -32,6 +32,7 @@ EFFECT_TOL = 1e-6  # whitened norm; rounding noise of the projection
 ABSORBED = 2.0 * EFFECT_TOL  # whitened; a trial without a hypothesis and with a larger effect has failed
 MAX_EFFECT = 1e100  # whitened; the squares of larger ones are no numbers
 AT_ONCE = 100  # directions whose rows are put in another order
+MAX_MISSING = 3  # samples in a row, as where a value is set aside, before noise that persists is lost
 SHRINK_FACTOR = 20.0  # on the size of a trial by which a joint would stall
 
 
@@ -484,6 +485,19 @@ def compute_version_effects(
     return FiniteEffects(cause, version, trials, changes, failed)
 
 
+def _begin_anew(session: SessionFit, version: Any, changes: Array) -> BoolArray:
+    """Which sudden changes, shape (s, m), begin after more than `MAX_MISSING` samples that are missing.
+
+    Noise that persists may have wandered anywhere meanwhile.
+    """
+    if session.noise_filter is None or not any(getattr(one, "sudden", False) for one in version.parameters):
+        return np.zeros(changes.shape[1], dtype=bool)
+    (table,) = session.tables
+    spacing = np.diff(table["session_seconds"], prepend=-np.inf)
+    after_gap = spacing > (MAX_MISSING + 1.5) * np.median(spacing)
+    return np.asarray(after_gap[np.argmax(changes != 0, axis=0)])
+
+
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """The hypotheses of causes, and how many of their trials there were and failed.
@@ -511,7 +525,10 @@ def build_candidates(linearized: LinearizedFit, effects: Iterable[FiniteEffects]
             session = sessions[version.session]
             whitened = session.project(session.whiten(one.changes))
             lost = ~np.isfinite(whitened).all(axis=0)
-            hypotheses += build_session_hypotheses(cause, version, trials, n, session, whitened)
+            told = ~_begin_anew(session, version, one.changes)
+            hypotheses += build_session_hypotheses(
+                cause, version, trials[told], n, session, whitened[:, told]
+            )
         else:
             whitened = linearized.project(linearized.whiten(one.changes))
             each = [slice(None)] if version.combine_trials else [slice(k, k + 1) for k in range(len(trials))]

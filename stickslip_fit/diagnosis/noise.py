@@ -17,7 +17,7 @@ from itertools import product
 import numpy as np
 from scipy.special import chdtrc, digamma, polygamma, stdtrit
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.misfit import StructureRemoved
 from stickslip_fit.diagnosis.noise_shape import Skewness, fit_skewness
@@ -58,6 +58,8 @@ MIN_OUTLIER_MEDIANS, MAX_OUTLIER_MEDIANS = (
 )  # medians of the absolute residuals; larger ones count as so large
 MISFIRE_SHARES = (0.0015, 0.003, 0.006, 0.012, 0.025, 0.05)
 MAX_MISFIRE_SHARE = 0.1  # of the rows
+NEIGHBOURS = 2  # rows on either side, in time or in a column
+MIN_RUN = 3  # rows of the same sign that are neighbours in a column, which are structure
 MIN_ECHO_SD = 4.5  # of an outlier in autocorrelated noise, the larger ones and their traces subtracted
 MEDIAN_TOL = 1e-6  # standard deviations; rounding noise of the projection
 MIN_LOG_RATIO = 0.5  # nats; noise alone often gives as much and need not be simulated
@@ -307,6 +309,28 @@ def find_outliers(
     allowed = [df for df, fit in by_tail.items() if fit[0] > max(by_tail.values())[0] - MAX_TAIL_LOG_RATIO]
     p_value = max(test.p_value(float(ratio[0]), df, n_simulations, rng) for df in allowed)
     return Outliers(rows, min(1.0, p_value + (TAIL_ERROR_RATE if len(allowed) < len(TAIL_DF) else 0.0)))
+
+
+def find_runs(rows: IntArray, columns: Array, residuals: Array) -> BoolArray:
+    """Which of some rows are next to others of them in a column, and as far off to the same side.
+
+    What steepens towards one end of a column is no error of single rows.
+
+    Parameters
+    ----------
+    rows : array of int, shape (m,)
+    columns : array, shape (n, k)
+    residuals : array, shape (n, r)
+        Of which at least `MIN_RUN` of a run have the same sign; without structure, or with it.
+    """
+    run = np.zeros(len(rows), dtype=bool)
+    for values in columns.T if len(rows) >= MIN_RUN else ():
+        place = np.argsort(np.argsort(values, kind="stable"))[rows]
+        order = np.argsort(place)
+        for part in np.split(order, np.flatnonzero(np.diff(place[order]) > NEIGHBOURS) + 1):
+            above = np.sum(residuals[rows[part]] > 0, axis=0)
+            run[part] |= np.maximum(above, len(part) - above).max() >= MIN_RUN
+    return run
 
 
 def _without_echoes(linearized: LinearizedFit, rows: IntArray) -> IntArray:

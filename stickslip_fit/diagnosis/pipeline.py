@@ -49,6 +49,7 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
 from stickslip_fit.diagnosis.result import Diagnosis, choose_verdict
 from stickslip_fit.diagnosis.selection import (
     Selection,
+    allocate_alpha,
     empty_selection,
     explain_outliers,
     select_causes,
@@ -171,7 +172,7 @@ def diagnose_problem(
         p_value=selection.p_value,
         misfit=_rms_left(search),
         repeatability=np.nan if search.too_small else float(np.sqrt(np.mean(row_sd**2))),
-        inclusion=_inclusion_probabilities(selection, search.problem, search.untestable),
+        inclusion=_inclusion_probabilities(selection, search.problem, search.untestable, alpha),
         untestable=search.untestable,
         alpha=alpha,
         seed=seed,
@@ -269,14 +270,14 @@ def bootstrap_size(alpha: float) -> int:
 
 
 def _inclusion_probabilities(
-    selection: Selection, problem: DiagnosisProblem, untestable: Mapping[str, str]
+    selection: Selection, problem: DiagnosisProblem, untestable: Mapping[str, str], alpha: float
 ) -> dict[str, float | None]:
     """Probability of each cause: of a selected one when it was selected, of all others in the last test."""
     last = cause_probabilities(selection.last_misfit.log_evidence_by_cause)
-    if not selection.selected:
+    if not selection.last_misfit.p_value < allocate_alpha(alpha):
         # Without an alarm the evidence is within chance, so that all causes share at most one half.
         last = {
-            cause: value * min(1.0, MAX_INCLUSION_WITHOUT_ALARM / sum(last.values()))
+            cause: value * min(1.0, MAX_INCLUSION_WITHOUT_ALARM / max(sum(last.values()), 1e-300))
             for cause, value in last.items()
         }
     inclusion: dict[str, float | None] = dict.fromkeys([*(c.name for c in problem.causes), UNKNOWN], 0.0)

@@ -7,7 +7,7 @@ the baseline fit, re-estimates the noise, refits the laws with causes in them, a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -80,6 +80,8 @@ class DiagnosisProblem:
         Of the noise of a sampled signal; None for rows that are no such signal.
     outlier_cause : str
         Name of the cause of outlying rows.
+    smooth_columns : array, shape (n, k)
+        Columns of numbers in which effects are smooth: rows next to each other there resemble each other.
     n_refits : int
         How many of the likeliest causes are refitted before one is named. Effects far above the noise are
         not linear in their parameters, and a cause that is tried at few sizes loses to another that happens
@@ -112,6 +114,7 @@ class DiagnosisProblem:
     n_shared: int = 0
     autocorrelation: Autocorrelation | None = None
     outlier_cause: str = "outliers"
+    smooth_columns: Array = field(default_factory=lambda: np.zeros((0, 0)))
     n_refits: int = 0
     trimmed: bool = False
     least_sd: float = MIN_SD
@@ -272,6 +275,7 @@ class DiagnosisProblem:
             self,
             autocorrelation=None if self.autocorrelation is None else self.autocorrelation.select(kept),
             spacing=None if self.spacing is None else self.spacing[kept],
+            smooth_columns=self.smooth_columns[kept] if self.smooth_columns.size else self.smooth_columns,
             uncertain=tuple(
                 (place[rows][place[rows] >= 0], changes[place[rows] >= 0]) for rows, changes in self.uncertain
             ),

@@ -49,7 +49,7 @@ from stickslip_fit.diagnosis.hypotheses import (
 from stickslip_fit.diagnosis.influence import OUTLYING_SD, assess_support
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, remove_structure
-from stickslip_fit.diagnosis.noise import find_outliers
+from stickslip_fit.diagnosis.noise import find_outliers, find_runs
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
 
@@ -137,7 +137,9 @@ def select_causes(
     effects = compute_finite_effects(problem.linearize(), problem.causes)
     problem, linearized, residual = _reestimate_noise(problem, effects)
     test = find_outliers(linearized, residual, problem.noise_group, n_bootstrap, rng)
-    outlying, outliers = np.setdiff1d(test.rows, trusted), np.zeros(0, dtype=np.intp)
+    beside = np.column_stack([residual, linearized.residual])
+    alone = test.rows[~find_runs(test.rows, problem.smooth_columns, beside)]
+    outlying, outliers = np.setdiff1d(alone, trusted), np.zeros(0, dtype=np.intp)
     # Rows that are trusted are no evidence that anything is wrong.
     outlier_p_value = min(1.0, test.p_value / OUTLIER_ALPHA_SHARE) if len(outlying) else 1.0
     misfires: list[SelectedCause] = []

@@ -259,6 +259,7 @@ def problem_from_table(
         noise_ratio=np.ones(len(rows)),
         n_shared=bound.n_shared,
         outlier_cause="outliers",
+        smooth_columns=rows[list(alternatives.columns)].to_numpy(float),
         n_refits=N_REFITS,
         least_sd=least_sd,
     )

@@ -24,7 +24,8 @@ from stickslip_fit.diagnosis.unknown_size import compare_causes
 
 def is_supported(gain: Gain) -> bool:
     """Whether held-out traverses are predicted no worse, and the interval could not mean twice the error."""
-    return bool(gain.extended <= gain.baseline and np.isfinite(gain.high) and gain.low > -gain.baseline)
+    before, after = gain.judged
+    return bool(after <= before and np.isfinite(gain.high) and gain.low > -gain.baseline)
 
 
 def find_unsupported(findings: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -118,10 +119,8 @@ def _explain(finding: Finding, table: TableInfo | None) -> str:
     if table is None:
         held_out, after, before = "traverses", format_percent(gain.extended), format_percent(gain.baseline)
     else:
-        after, before = (
-            f"{format_significant(value)} {table.unit}".rstrip() for value in (gain.extended, gain.baseline)
-        )
-        held_out = "rows"
+        before, after = (f"{format_significant(value)} {table.unit}".rstrip() for value in gain.judged)
+        held_out = "rows, each given those before it," if gain.given_before else "rows"
     return (
         f"{finding.cause} is not named, since with it in the law held-out {held_out} are not predicted "
         f"better ({after}, without it {before})"

@@ -150,3 +150,19 @@ def test_an_exact_fit_and_sessions_without_scatter_end_without_a_warning(table):
     assert diagnose(table.assign(y=2 + 3 * table["x"]), time="t").verdict == "nothing wrong"
     short = table.assign(s=np.repeat([f"s{k}" for k in range(25)], [2] * 15 + [3] * 10))
     assert diagnose(short, session="s").table.rows == N
+
+
+@pytest.mark.parametrize(("column", "mark"), [("y", -999), ("x", 9999.9), ("T", -99.0)])
+def test_a_number_of_nines_far_from_all_others_counts_as_empty_and_is_named(table, column, mark):
+    answer = diagnose(put(table, column, mark, mark).astype({column: float}))
+    assert f"{mark:.15g} in {column}, 2 cells far from all others" in answer.table.notes[0]
+    left = diagnose(table.drop(index=[3, 6]))
+    assert (answer.table.rows, answer.p_value) == (N - 2, left.p_value)
+
+
+@pytest.mark.parametrize(
+    ("column", "values"), [("x", (999.0, 1030.0)), ("y", (99.0,)), ("T", (-998.0, -998.0))]
+)
+def test_what_may_have_been_measured_stays(table, column, values):
+    frame = table.assign(x=table["x"] * 10 + 980.0)
+    assert diagnose(put(frame, column, *values).astype({column: float})).table.rows == N

@@ -135,3 +135,21 @@ def test_every_sequence_has_four_blocks_of_its_own_or_as_many_as_it_has_rows(cor
     for session in lengths:
         sizes = np.bincount(kinds[rows["session"] == session])
         assert np.ptp(sizes[sizes > 0]) <= 1
+
+
+def test_a_wave_under_a_wander_is_judged_by_each_row_given_those_before_it():
+    """A random walk of 1.8 hides a wave of 0.25 rms in the errors themselves."""
+    rng, hours = np.random.default_rng(4), np.arange(480.0)
+    wander = np.cumsum(0.15 * rng.standard_normal(480))
+    y = 20.0 + wander + 0.35 * np.cos(2.0 * np.pi * hours / 24.0 + 1.0) + 0.02 * rng.standard_normal(480)
+    diagnosis = ssf.diagnose_table(pd.DataFrame({"t_h": hours, "T": y.round(3)}), "T ~ mean", time="t_h")
+    (finding,) = diagnosis.findings
+    assert finding.cause == "periodic-in-time"
+    assert diagnosis.gain.extended > diagnosis.gain.baseline
+    before, after = diagnosis.gain.given_before
+    # Of a random walk the steps, and what a wave adds to them: 0.35 (2 pi / 24) / sqrt(2).
+    assert 0.14 < after < 0.16
+    assert before**2 - after**2 == pytest.approx(0.065**2, rel=0.4)
+    text = " ".join(str(diagnosis).split())
+    assert "predicts held-out rows no better" in text
+    assert f"each given those before it: from {before:.3f} to {after:.3f}" in text

@@ -63,3 +63,20 @@ def test_how_rare_a_value_far_off_is_is_told(off, rare):
     assert (share < 2e-3) == rare
     assert ("now and then" in text) != rare
     assert ("in only 1 of" in text) == rare
+
+
+def test_a_run_at_the_end_of_a_column_is_a_curve_and_scattered_values_are_outliers():
+    rng = np.random.default_rng(3)
+    x = np.linspace(0.0, 60.0, 61)
+    y = 1.0 + 0.02 * x + 0.01 * rng.standard_normal(61)
+    steep = pd.DataFrame({"x": x, "y": y + 0.03 * np.maximum(x - 53.0, 0.0) ** 3}).sample(
+        frac=1, random_state=1
+    )
+    scattered = pd.DataFrame({"x": x, "y": y}).sample(frac=1, random_state=1)
+    scattered.loc[[4, 20, 45], "y"] += 0.5
+    found = [ssf.diagnose_table(frame, "y ~ a + b*x", gain=False) for frame in (steep, scattered)]
+    assert [[(one.cause, one.carrier) for one in diagnosis.findings] for diagnosis in found] == [
+        [("unknown", "x")],
+        [("outliers", "")],
+    ]
+    assert len(found[1].findings[0].traverses) == 3

@@ -108,3 +108,22 @@ def test_coefficients_of_which_there_is_no_likelihood_are_no_reason_to_fail(monk
     found = estimate_autoregression(linearized, np.zeros((300, 0)), np.arange(300))
     assert refused
     assert found[0] == pytest.approx(0.8, abs=4 * np.sqrt((1 - 0.8**2) / 300))
+
+
+@pytest.mark.parametrize("seed", [20, 21])
+def test_what_noise_that_persists_did_while_samples_are_missing_is_no_sudden_change(seed):
+    rng, seconds = np.random.default_rng(seed), np.arange(300.0)
+    wander = lfilter([1.0], [1.0, -0.99], 0.2 * rng.standard_normal(500))[-300:]
+    frame = pd.DataFrame({"t": seconds, "y": wander})[(seconds < 120) | (seconds > 200)]
+    assert not ssf.diagnose_table(frame, "y ~ mean", time="t", gain=False).findings
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_wave_with_harmonics_whose_size_grows_is_one_finding(seed):
+    rng, hours = np.random.default_rng(seed), np.arange(480.0)
+    day = 2.0 * np.pi * hours / 24.0
+    wave = 2.0 * np.cos(day) + np.cos(2.0 * day + 0.5) + 0.3 * np.cos(3.0 * day)
+    noise = lfilter([1.0], [1.0, -0.7], 0.15 * rng.standard_normal(480))
+    (found,) = diagnose((1.0 + 0.8 * hours / 480.0) * wave + noise, 3600.0 * hours).findings
+    assert found.cause == "periodic-in-time"
+    assert found.version.period == pytest.approx(24 * 3600.0, rel=1e-3)

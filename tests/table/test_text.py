@@ -54,7 +54,8 @@ def test_no_word_of_a_log_is_in_text_notebook_or_page(case, request):
 def test_the_answer_is_in_the_responses_unit(named):
     text, table = " ".join(str(named).split()), named.table
     assert "Viscous friction differs between directions (dFv = 1." in text
-    assert re.search(r"from 0\.\d{3} to 0\.\d{3} N; the noise is 0\.\d{3} N", text)
+    given = r"\(each given those before it: from 0\.\d{3} to 0\.\d{3} N\)"
+    assert re.search(rf"from 0\.\d{{3}} to 0\.\d{{3}} N {given}; the noise is 0\.\d{{3}} N", text)
     assert f"tell as much as about {round(table.independent)} independent ones" in text
     assert f"({0.01 * table.correlation_rows:.4f} s)" in text
 
@@ -181,9 +182,8 @@ def withdrawn(diagnosis):
 def test_a_cause_that_is_withdrawn_has_its_reason_in_the_responses_unit(named):
     unknown = withdrawn(named)
     assert unknown.cause == "unknown"
-    assert re.search(
-        r"held-out rows are not predicted better \(0\.\d+ N, without it 0\.\d+ N\)", unknown.note
-    )
+    held_out = "held-out rows, each given those before it, are not predicted better"
+    assert re.search(rf"{held_out} \(0\.\d+ N, without it 0\.\d+ N\)", unknown.note)
 
 
 def days():
