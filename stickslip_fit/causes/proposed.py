@@ -312,6 +312,7 @@ class CarrierFunction:
 
     def __str__(self) -> str:
         name = self.carrier.replace("_", " ")
+        name = f"log(1 + {name} / s)" if self.carrier in PAUSES else name
         if self.unit != 1.0:
             name = f"({name} - mean) / half range" if self.middle else f"{name} / largest"
             name = f"({name})" if self.expression == "x^2" else name

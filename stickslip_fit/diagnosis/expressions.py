@@ -33,6 +33,7 @@ from stickslip_fit.diagnosis.smooth_alternatives import (
 )
 from stickslip_fit.logs.history import FURTHER_HISTORY
 
+WITHOUT_EXPRESSION = ("before_joint", "session_order")  # a label, and another clock
 OF_ANGLES = ("sin(x)", "cos(x)", "sin(2 x)", "cos(2 x)", "sin(3 x)", "cos(3 x)")
 
 
@@ -94,12 +95,14 @@ def build_log_dictionary(linearized: LinearizedFit) -> Dictionary | None:
     single = [
         (factor, factor.values(carrier.values))
         for carrier in find_carriers(linearized)
-        if carrier.name not in FURTHER_HISTORY
+        if carrier.name not in WITHOUT_EXPRESSION
         for factor in _functions(carrier)
     ]
     products: list[tuple[CarrierFunction, ...]] = [(factor,) for factor, _ in single]
     columns = [values for _, values in single]
     for (one, values), (other, others) in combinations(single, 2):
+        if {one.carrier, other.carrier} & {*FURTHER_HISTORY}:
+            continue
         if one.carrier != other.carrier and "x" in (one.expression, other.expression):
             products.append((one, other))
             columns.append(values * others)

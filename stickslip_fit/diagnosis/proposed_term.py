@@ -8,14 +8,16 @@ fold searches anew.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.proposed import PeriodicTerm, SmoothTerm
+from stickslip_fit.causes.proposed import SMOOTH_SCALE, PeriodicTerm, SmoothTerm
+from stickslip_fit.causes.smooth import prior_sds
 from stickslip_fit.causes.table_terms import PeriodicTableTerm
 from stickslip_fit.diagnosis.expressions import Dictionary
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
@@ -34,6 +36,7 @@ MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which th
 COMMON_IN_LAW = 0.5  # share of a function of sessions that is the same in all, in the law
 MEMORY_MARGIN = 3.0  # nats by which an autoregression is likelier, whose noise looks like many a function
 FACTOR_COST = 2.0  # of the squared residuals that a second factor has to explain
+SURFACE_LENGTHS = (1.0, 0.6, 0.4)  # of functions of two carriers, of their ranges
 N_PERIODS = 21  # between the two neighbours of a period that was tried
 MIN_GAIN_SHARE = 0.95  # of the smooth function's gain, with which a short expression is preferred
 N_NULL_LOGS, NULL_LEVEL = 200, 0.01
@@ -68,7 +71,9 @@ def propose_term(
     if term is not None and term.expected_gain >= MIN_GAIN_SHARE * _expected_gain(shape, misfit.residual):
         return [*others, replace(unknown, version=term.version, start=term.start)]
     if isinstance(shape.version, PeriodicTerm | PeriodicTableTerm):
-        shape = _with_harmonics(shape, linearized, misfit.residual)
+        shape = _likeliest(_with_harmonics(shape.version), shape, linearized, misfit.residual)
+    elif isinstance(shape.version, SmoothTerm) and len(shape.version.carriers) == 2:
+        shape = _likeliest(_as_surfaces(shape.version), shape, linearized, misfit.residual)
     version = shape.version.with_amplitude(estimate_strength(shape, misfit.residual) / shape.length)
     is_smooth = isinstance(version, SmoothTerm) and not isinstance(version, PeriodicTerm)
     if is_smooth and version.sessions and not version.common:
@@ -77,17 +82,34 @@ def propose_term(
     return [*others, replace(unknown, version=version, start=np.array(version.null_values))]
 
 
-def _with_harmonics(shape: Hypothesis, linearized: LinearizedFit, residual: Array) -> Hypothesis:
-    """A wave with its harmonics, at the period under which residuals, shape (n,), are likeliest."""
-    term, longest = shape.version, shape.version.limits[0][1]
-    shapes = [shape]
-    for rate in 1.0 / term.period + np.linspace(-0.5, 0.5, N_PERIODS) / longest:
-        version = replace(term, period=float(1.0 / rate)).with_harmonics()
+def _with_harmonics(wave: Any) -> Iterable[Any]:
+    """A wave with its harmonics, at periods about its own."""
+    rates = 1.0 / wave.period + np.linspace(-0.5, 0.5, N_PERIODS) / wave.limits[0][1]
+    return (replace(wave, period=float(1.0 / rate)).with_harmonics() for rate in rates)
+
+
+def _as_surfaces(term: SmoothTerm) -> Iterable[SmoothTerm]:
+    """A product of the lowest functions of two carriers, and smooth functions of both that are no product."""
+    for length in SURFACE_LENGTHS:
+        sds = prior_sds(length) / prior_sds(length)[0]
+        orders = tuple(product(range(1, len(sds) + 1), repeat=2))
+        size = (SMOOTH_SCALE * float(sds[one - 1] * sds[other - 1]) for one, other in orders)
+        yield replace(term, orders=orders, sds=tuple(size))
+
+
+def _likeliest(
+    versions: Iterable[Any], shape: Hypothesis, linearized: LinearizedFit, residual: Array
+) -> Hypothesis:
+    """A shape in the version under which residuals, shape (n,), are likeliest."""
+    shapes = []
+    for version in versions:
         sizes = np.diag([parameter.prior_sd for parameter in version.parameters])
         effects = compute_effects(linearized, version, sizes)
         shapes += [one for one in [make_hypothesis(shape.cause, version, None, effects)] if one is not None]
+    if not shapes:
+        return shape
     evidence = batch_hypotheses(shapes, linearized.df).log_evidence(residual[:, None])[:, 0]
-    return shapes[int(np.argmax(evidence[1:])) + 1] if len(shapes) > 1 else shape
+    return shapes[int(np.argmax(evidence))]
 
 
 @dataclass(frozen=True, eq=False)

@@ -206,7 +206,7 @@ class Diagnosis(Summarized):
 
         Of causes that the data cannot separate, the likeliest is in the law. Outlying counts or values are
         excluded; unknown structure is in the law as the term or smooth function of its finding, if it has
-        one. `command` is for the result's provenance.
+        one. Rows are weighted by the noise that was found. `command` is for the result's provenance.
 
         Returns
         -------
@@ -220,14 +220,17 @@ class Diagnosis(Summarized):
         """
         if self.table is not None:
             return make_table_fit(self.selection.problem, self.selection.fit, self.table, command=command)
-        log = self.require_log()
+        log, problem = self.require_log(), self.selection.problem
         usable = log.rows.index[log.rows["status"] == "ok"]
+        noise = pd.Series(1.0, usable)
+        noise[np.delete(usable, self.selection.outliers)] = problem.noise_ratio
         for finding in self.findings:
             if finding.traverses is not None:
                 log = log.exclude(usable[finding.traverses.index])
         causes = [finding.version for finding in self.findings if finding.version is not None]
-        laws = {part.law.joint: part.law for part in self.selection.problem.parts}
-        return fit_least_squares(log, laws=laws, causes=causes, command=command)
+        laws = {part.law.joint: part.law for part in problem.parts}
+        ratio = noise[log.rows.index[log.rows["status"] == "ok"]].to_numpy() if noise.nunique() > 1 else None
+        return fit_least_squares(log, laws=laws, causes=causes, noise_ratio=ratio, command=command)
 
     def corrected_log(self) -> Log:
         """The log with the fitted effect of what extends the law taken out of its counts.

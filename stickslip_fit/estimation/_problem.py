@@ -51,12 +51,16 @@ class FitOptions:
         Lowest and highest value of parameters, SI, within those of the law itself.
     repeatability : dict of (int, str) to float
         By joint and direction, relative, where it is known and not to be estimated.
+    noise_ratio : Series or None
+        Standard deviation of each row's noise in any unit, by the label of the row; None where the rows of a
+        joint and direction have the same.
     """
 
     likelihood: Likelihood = GAUSSIAN
     shared: tuple[str, ...] = ()
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     repeatability: Mapping[tuple[int, str], float] = field(default_factory=dict)
+    noise_ratio: pd.Series | None = None
 
     def check(self, laws: Iterable[StepLaw]) -> None:
         """Check the options against these laws.
@@ -91,6 +95,13 @@ class FitOptions:
         lower, upper = np.array(pairs).T
         shape = (len(groups), len(pairs))
         return np.broadcast_to(lower, shape).copy(), np.broadcast_to(upper, shape).copy()
+
+    def relative_noise(self, rows: pd.DataFrame) -> Array:
+        """Standard deviation of each row's noise over the rms of its direction, shape (n,)."""
+        if self.noise_ratio is None:
+            return np.ones(len(rows))
+        square = self.noise_ratio.loc[rows.index] ** 2
+        return np.sqrt((square / square.groupby(rows["direction"].astype(str)).transform("mean")).to_numpy())
 
     def known_noise(self, joint: int) -> dict[str, NoiseLevel]:
         """A joint's repeatability by direction, as far as it is known beforehand."""
@@ -189,11 +200,16 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class JointProblem(Problem):
-    """What is minimized for one joint; `rounding`, shape (n,), is the variance that rounding adds."""
+    """What is minimized for one joint.
+
+    `rounding`, shape (n,), is the variance that rounding adds; `noise_ratio`, shape (n,), each row's standard
+    deviation over the repeatability of its direction, rounding aside.
+    """
 
     law: StepLaw
     rows: pd.DataFrame
     rounding: Array
+    noise_ratio: Array
 
     @property
     def directions(self) -> npt.NDArray[np.object_]:
@@ -220,6 +236,7 @@ def single_problem(law: StepLaw, rows: pd.DataFrame, options: FitOptions) -> Joi
         law=law,
         rows=rows,
         rounding=rounding,
+        noise_ratio=options.relative_noise(rows),
         subset=lambda some: law.model(rows.iloc[some]),
     )
 

@@ -67,6 +67,7 @@ def fit_least_squares(
     shared: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
     repeatability: Mapping[tuple[int, str], float] | None = None,
+    noise_ratio: Array | None = None,
     command: str = "",
     progress: ProgressCallback = ignore_progress,
 ) -> Result:
@@ -88,6 +89,9 @@ def fit_least_squares(
         Lowest and highest value of a parameter, SI.
     repeatability : dict of (int, str) to float, optional
         By joint and direction, relative: known beforehand, not estimated from this log.
+    noise_ratio : array, shape (n,), optional
+        Standard deviation of the noise of each usable traverse, in any unit, where those of a joint and
+        direction differ, as `diagnose` finds out.
     command : str, optional
         Kept in the result's provenance.
     progress : callable, optional
@@ -100,17 +104,20 @@ def fit_least_squares(
     Raises
     ------
     InputError
-        If the log has no usable traverse or cannot show a cause, or no law has a parameter that is named.
+        If the log has no usable traverse or cannot show a cause, no law has a parameter that is named, or
+        `noise_ratio` is not a positive number for each usable traverse.
 
     Notes
     -----
     The response is log(steps), so that the errors are relative, as the repeatability is. Its variance
-    is the repeatability's, pooled over the log by joint and direction, plus the rounding's.
+    is the repeatability's, pooled over the log by joint and direction, plus the rounding's. With a
+    `noise_ratio` the repeatability is the root mean square over the traverses of a joint and direction.
     """
     rows = usable_rows(log)
     chosen = choose_laws(rows, log.machine, laws)
     by_joint = {joint: rows[rows["joint"] == joint] for joint in chosen}
-    options = FitOptions(likelihood, tuple(shared), bounds or {}, repeatability or {})
+    noise = None if noise_ratio is None else _label_noise(noise_ratio, rows)
+    options = FitOptions(likelihood, tuple(shared), bounds or {}, repeatability or {}, noise)
     if causes:
         progress("fitting", 0.0)
         problems, combined = problems_with_causes(causes, chosen, by_joint, log.machine, options)
@@ -132,7 +139,7 @@ def fit_least_squares(
         for (joint, subset), (_, residual, _) in zip(by_joint.items(), joints, strict=True)
     ]
     result = Result(
-        method=likelihood.method,
+        method=likelihood.method if noise_ratio is None else f"weighted-{likelihood.method}",
         machine=log.machine,
         joints={fit.law.joint: fit for fit, _, _ in joints},
         residuals=pd.concat(residuals).sort_index(),
@@ -141,6 +148,15 @@ def fit_least_squares(
     )
     progress("looking for outlying counts", FITTING_SHARE)
     return flag_outliers(result, log)
+
+
+def _label_noise(noise_ratio: Array, rows: pd.DataFrame) -> pd.Series:
+    values = np.asarray(noise_ratio, dtype=float)
+    if values.shape != (len(rows),) or not np.all((values > 0) & np.isfinite(values)):
+        raise InputError(
+            f"noise_ratio must be {len(rows)} positive numbers, one for each usable traverse of the log"
+        )
+    return pd.Series(values, rows.index)
 
 
 def fit_joint(law: StepLaw, rows: pd.DataFrame, machine: Machine) -> tuple[JointFit, Array, list[Flag]]:

@@ -175,12 +175,20 @@ def estimate_from_replicates(
 
 
 def pool_residuals(
-    residual: Array, rounding: Array, df: int, source: str, likelihood: Likelihood = GAUSSIAN
+    residual: Array,
+    rounding: Array,
+    df: int,
+    source: str,
+    likelihood: Likelihood = GAUSSIAN,
+    noise_ratio: Array | float = 1.0,
 ) -> NoiseLevel:
-    """Repeatability under which the weighted squares of the residuals add up to their degrees of freedom."""
+    """Repeatability under which the weighted squares of the residuals add up to their degrees of freedom.
+
+    `noise_ratio`, shape (n,), is each row's standard deviation over the repeatability, rounding aside.
+    """
     if df < 1:
         return NoiseLevel(np.nan, 0, source)
-    squares = residual**2
+    squares, rounding = (residual / noise_ratio) ** 2, rounding / noise_ratio**2
     # Rounding is a small part, so this fixed point gains a digit or two a pass; it nears 0 from above.
     scale2 = float(squares.sum()) / df / likelihood.spread**2
     for _ in range(200):
@@ -197,10 +205,11 @@ def row_variance(
     rounding: Array,
     repeatability: dict[str, NoiseLevel],
     likelihood: Likelihood = GAUSSIAN,
+    noise_ratio: Array | float = 1.0,
 ) -> Array:
     """Squared scale of each row's log steps, rounding included; shape (n,). A Gaussian's is its variance.
 
-    A direction whose repeatability is not known takes the other's.
+    `noise_ratio` is as of `pool_residuals`. A direction whose repeatability is not known takes the other's.
     """
     known = [noise.value for noise in repeatability.values() if noise.df > 0]
     fallback = float(np.mean(known)) if known else 0.0
@@ -208,7 +217,8 @@ def row_variance(
         direction: noise.value if noise.df > 0 else fallback for direction, noise in repeatability.items()
     }
     forwards = (rows["direction"] == "+").to_numpy()
-    return (np.where(forwards, sigma["+"], sigma["-"]) / likelihood.spread) ** 2 + rounding
+    level = np.where(forwards, sigma["+"], sigma["-"]) / likelihood.spread
+    return np.asarray((level * noise_ratio) ** 2 + rounding)
 
 
 def flag_missing_error_bars(

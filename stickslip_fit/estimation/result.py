@@ -148,7 +148,8 @@ class Result(Summarized):
     Attributes
     ----------
     method : str
-        ``closed-form``, ``least-squares``, ``heavy-tailed-least-squares`` or ``bayes``.
+        ``closed-form``, ``least-squares``, ``heavy-tailed-least-squares`` or ``bayes``; ``weighted-`` before
+        least squares of rows whose noise differs.
     machine : Machine
     joints : dict of int to JointFit
     residuals : DataFrame

@@ -114,7 +114,7 @@ def iterate_weights(
         )
         scale2 = np.concatenate(
             [
-                row_variance(joint.rows, joint.rounding, by_direction, likelihood)
+                row_variance(joint.rows, joint.rounding, by_direction, likelihood, joint.noise_ratio)
                 for joint, by_direction in zip(joints, repeatability, strict=True)
             ]
         )
@@ -131,9 +131,8 @@ def from_residuals(joint: JointProblem, minimum: Minimum, likelihood: Likelihood
     for direction in ("+", "-"):
         rows = (joint.rows["direction"] == direction).to_numpy()
         df = int(rows.sum() - minimum.rank[joint.directions == direction].sum())
-        repeatability[direction] = pool_residuals(
-            minimum.residual[rows], joint.rounding[rows], df, "residuals", likelihood
-        )
+        residual, rounding, ratio = minimum.residual[rows], joint.rounding[rows], joint.noise_ratio[rows]
+        repeatability[direction] = pool_residuals(residual, rounding, df, "residuals", likelihood, ratio)
     return repeatability
 
 

@@ -191,7 +191,14 @@ def _validate(content: dict[str, Any]) -> Any:
         used: list[bool]
 
     class ResultTable(Table):
-        method: Literal["closed-form", "least-squares", "heavy-tailed-least-squares", "bayes"]
+        method: Literal[
+            "closed-form",
+            "least-squares",
+            "weighted-least-squares",
+            "heavy-tailed-least-squares",
+            "weighted-heavy-tailed-least-squares",
+            "bayes",
+        ]
         remarks: list[Flag]
         provenance: Provenance
         machine: Machine

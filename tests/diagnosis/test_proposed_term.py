@@ -7,15 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import stickslip_fit as ssf
 from stickslip_fit.causes import Temperature, extend
 from stickslip_fit.causes.proposed import ProposedTerm, SmoothTerm, TravelTerm
 from stickslip_fit.causes.registry import describe, restore
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes, build_unstructured_alternatives
+from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.expressions import build_log_dictionary
+from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Gain
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes, group_directions
-from stickslip_fit.diagnosis.misfit import STRENGTHS, batch_hypotheses
+from stickslip_fit.diagnosis.misfit import STRENGTHS, UNKNOWN, batch_hypotheses, compute_misfit
 from stickslip_fit.diagnosis.problem import problem_from_log
+from stickslip_fit.diagnosis.proposed_term import propose_term
 from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
 from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
 from stickslip_fit.laws import Prismatic
@@ -192,3 +197,67 @@ def test_every_coordinate_and_column_has_an_alternative_and_a_recorded_one_none_
     assert not {"temperature", "unknown:temperature"} & left_out
     assert {"unknown:theta", "unknown:temperature, opposite"} <= left_out
     assert all(one.version is not None for one in hypotheses)
+
+
+def test_rows_weigh_as_the_noise_that_was_found(tmp_path):
+    """A tenth of the configurations is five times as noisy, and two counts are 30 % off."""
+    hidden = hide("thesis", (), 0.0, "configurations", (), 5)
+    counts = hidden.campaign.counts[hidden.campaign.plan.joint == 3]
+    hidden.write(tmp_path / "log.csv")
+    log = read_log(tmp_path / "log.csv")
+    log = log.select(log.rows["joint"] == 3)
+    wrong = log.rows.index[[40, 100]]
+    log.rows.loc[wrong, "steps"] = (1.3 * log.rows.loc[wrong, "steps"]).astype(int)
+    found = ssf.diagnose(log, seed=1, gain=False)
+    assert [finding.cause for finding in found.findings] == ["end-stop-misfire"]
+    law, selection = found.extended_law(), found.selection
+    law.save(tmp_path / "law.json")
+    assert ssf.load_result(tmp_path / "law.json").method == "weighted-least-squares"
+    steps = law.predict(log.usable)["steps"].to_numpy()
+    # The noise, and with it every weight, is that of the law whose gain is measured.
+    kept = np.delete(np.arange(len(steps)), selection.outliers)
+    fitted = selection.problem.responses - selection.fit.residual
+    assert np.log(steps[kept]) == pytest.approx(fitted, abs=1e-6)
+    plain = ssf.fit(log.exclude(wrong)).predict(log.usable)["steps"].to_numpy()
+    errors = [np.sqrt(np.mean(np.log(one / counts) ** 2)) for one in (steps, plain)]
+    assert errors[0] < 0.7 * errors[1]
+
+
+def law_for(linearized, alternatives, column, expressions, strength=25.0):
+    """The law proposed for a change of the log counts, shape (n,), in noise, and the error of its fit.
+
+    The error is what is wrong of the whitened change, as a share of its square.
+    """
+    rng = np.random.default_rng(2)
+    change = linearized.project(linearized.whiten(column))
+    change *= strength / np.linalg.norm(change)
+    noise = linearized.project(rng.standard_normal(len(change)))
+    misfit = compute_misfit(replace(linearized, residual=change + noise), alternatives, 0, rng)
+    unknown = SelectedCause(UNKNOWN, None, np.zeros(0), form_cause_set(misfit, UNKNOWN), misfit, 0.0)
+    version = propose_term(linearized, [unknown], expressions, rng)[0].version
+    sizes = np.diag([min(one.prior_sd, 1.0) for one in version.parameters])
+    effects = linearized.project(linearized.whiten(compute_changes(linearized, version, sizes)))
+    values = np.linalg.solve(effects.T @ effects + np.eye(len(sizes)), effects.T @ misfit.residual)
+    return version, np.sum((effects @ values - change) ** 2) / strength**2
+
+
+def test_a_function_of_two_carriers_has_more_than_their_lowest_functions(linearized, alternatives):
+    """It falls with the one and rises and falls with the other."""
+    carriers = ("theta", "session_seconds")
+    products = [one for one in alternatives if getattr(one.version, "carriers", ()) == carriers]
+    rows = linearized.rows
+    theta, time = ((rows[name] - rows[name].min()) / np.ptp(rows[name]) for name in carriers)
+    surface = (theta - 0.5) * (4.0 * np.abs(time - 0.5) - 1.0)
+    version, error = law_for(linearized, products, surface.to_numpy(), lambda fit: None)
+    assert version.carriers == carriers
+    assert error < 0.05
+
+
+def test_a_short_term_may_follow_the_traverse_before(linearized, alternatives):
+    """As a share of the joint's travel, or of a pause the logarithm; unknown of a first traverse."""
+    gap, pause = (linearized.rows[name].to_numpy(float) for name in ("before_gap", "pause"))
+    for name, values in (("before gap", gap), ("log(1 + pause / s)", np.log1p(pause))):
+        centred = np.nan_to_num(values - np.nanmean(values))
+        version, error = law_for(linearized, alternatives, centred, build_log_dictionary)
+        assert version.formula == f"k ({name} - mean) / half range"
+        assert error < 0.02

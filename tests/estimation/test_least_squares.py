@@ -36,14 +36,18 @@ def test_known_truth_is_recovered_without_noise(campaign, read_table):
     assert found["d_per_mm"] * 1e3 == pytest.approx(0.45, abs=1e-3)
 
 
-def test_agrees_with_scipy_on_every_group(log):
+@pytest.mark.parametrize("spread", [0.0, 0.5])
+def test_agrees_with_scipy_on_every_group(log, spread):
     """The same weighted problem, written out again and solved by another library."""
-    result = fit_least_squares(log)
-    rows = log.usable[log.usable["joint"] == 3]
+    ratio = np.exp(spread * np.random.default_rng(0).standard_normal(len(log.usable)))
+    result = fit_least_squares(log, noise_ratio=ratio if spread else None)
+    rows = log.usable.assign(ratio=ratio)[log.usable["joint"] == 3]
+    rows["ratio"] /= np.sqrt((rows["ratio"] ** 2).groupby(rows["direction"].astype(str)).transform("mean"))
+    squares, df = {"+": 0.0, "-": 0.0}, {"+": 0, "-": 0}
     for (session, direction), subset in rows.groupby(["session", "direction"], observed=True):
         noise = result.joints[3].repeatability[direction].value
         counts = subset["steps"].to_numpy() - 2.5
-        sigma = np.hypot(noise, 5 / np.sqrt(12) / counts)
+        sigma = np.hypot(noise * subset["ratio"], 5 / np.sqrt(12) / counts).to_numpy()
         recoil = np.abs(np.cos(subset["q2"]))
         load = np.cos(subset["psi"] - subset["q2"]) * np.cos(subset["theta"])
 
@@ -59,6 +63,16 @@ def test_agrees_with_scipy_on_every_group(log):
         assert ours["standard_error"].to_numpy() * unit == pytest.approx(
             np.sqrt(np.diag(covariance)), rel=1e-3
         )
+        squares[direction] += 2.0 * other.cost
+        df[direction] += len(subset) - len(other.x)
+    assert squares == pytest.approx(df, rel=1e-3)
+
+
+def test_noise_of_each_traverse_is_positive_and_known_of_all(log):
+    n = len(log.usable)
+    for wrong in (np.ones(n - 1), np.zeros(n), np.full(n, np.nan)):
+        with pytest.raises(InputError, match=f"noise_ratio must be {n} positive numbers"):
+            fit_least_squares(log, noise_ratio=wrong)
 
 
 def test_repeatability_is_found(log):
