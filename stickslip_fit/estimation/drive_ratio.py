@@ -29,7 +29,7 @@ from stickslip_fit.laws.physical import (
 from stickslip_fit.machine import Machine
 
 LOWEST, HIGHEST = 0.1, 10.0  # of the prior
-COARSE = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
+RATIOS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2, 1.35, 1.6, 2.0)
 REFINEMENTS = 2
 UNLIKELY = 0.147  # likelihood ratio at the ends of an interval of 95 %
 NEGLIGIBLE = 1e-3  # of the largest density
@@ -202,7 +202,7 @@ def profile_ratio(
     joint: int,
     rows: pd.DataFrame,
     machine: Machine,
-    ratios: Sequence[float] = COARSE,
+    ratios: Sequence[float] = RATIOS,
     refinements: int = REFINEMENTS,
 ) -> dict[str, RatioProfile]:
     """The profile of each direction.
@@ -258,7 +258,7 @@ class RatioSearch:
         self.residuals: dict[float, Array] = {}
         self.estimates: dict[float, SessionValues] = {}
 
-    def refine(self, ratios: Sequence[float] = COARSE, refinements: int = REFINEMENTS) -> None:
+    def refine(self, ratios: Sequence[float] = RATIOS, refinements: int = REFINEMENTS) -> None:
         """Evaluate some lambdas and `FRICTION_LIMITED`, then the middles of the intervals that matter."""
         self.evaluate({*ratios, FRICTION_LIMITED})
         for _ in range(refinements):
