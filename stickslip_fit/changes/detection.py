@@ -29,7 +29,7 @@ from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.estimation.identifiability import configuration_rows
 from stickslip_fit.estimation.result import Provenance
 from stickslip_fit.estimation.reweighting import OUTLIER, PATTERN
-from stickslip_fit.laws import Laws, Prismatic, StepLaw, choose_laws, is_published
+from stickslip_fit.laws import Laws, StepLaw, choose_laws, is_published
 from stickslip_fit.laws.base import traverse_length
 from stickslip_fit.laws.physical import Physical
 from stickslip_fit.logs import Log
@@ -37,9 +37,8 @@ from stickslip_fit.machine import Machine
 from stickslip_fit.units import from_si
 
 STEP_SIZE = "step size"
-UNLOADED, RESPONSE, SHARE = "unloaded", "response", "share"
-# Of published and physical parameters.
-ROLES = {"a": UNLOADED, "gamma0": UNLOADED, "c": RESPONSE, "d": RESPONSE, "r": SHARE}
+UNLOADED, RESPONSE = "unloaded", "response"
+ROLES = {"a": UNLOADED, "gamma0": UNLOADED, "c": RESPONSE, "d": RESPONSE}  # of published parameters
 MAX_CONFIGURATIONS = 50  # of a law without calibration configurations
 SCHEMA = "stickslip-fit/changes/1"
 DECIMALS = 9  # of a configuration's features that make it another
@@ -63,9 +62,8 @@ class Change:
         That of step sizes, which are geometric means, is relative to the old one.
     is_significant : bool
         Whether its adjusted p-value is below the rate of false alarms.
-    role : {"unloaded", "response", "share", ""}
-        Of a parameter of a published or physical law: whether it is a step size without load, a response to
-        load, or the load as a share of friction.
+    role : {"unloaded", "response", ""}
+        Of a parameter of a published law: whether it is a step size without load or a response to load.
     """
 
     joint: int
@@ -99,12 +97,11 @@ class Changes(Summarized):
         What only one of the logs can tell, in sentences.
     flags : tuple of Flag
         Of the two fits, where they concern single counts.
-    machine : Machine
     provenance : tuple of (Provenance, Provenance)
     laws : mapping of int to StepLaw
         By joint, of those that were compared.
-    loads : mapping of (int, str) to array, shape (k,)
-        By joint and direction, under which steps were counted: against the motion, as shares of the full one.
+    logs : tuple of (Log, Log)
+        The old and the new one.
     """
 
     alpha: float
@@ -112,10 +109,9 @@ class Changes(Summarized):
     changes: tuple[Change, ...]
     not_compared: tuple[str, ...]
     flags: tuple[Flag, ...]
-    machine: Machine
     provenance: tuple[Provenance, Provenance]
     laws: Mapping[int, StepLaw]
-    loads: Mapping[tuple[int, str], Array]
+    logs: tuple[Log, Log]
 
     @property
     def significant(self) -> tuple[Change, ...]:
@@ -196,20 +192,7 @@ def detect_changes(
     sessions = (old.sessions, new.sessions)
     provenance = (fits[0].provenance, fits[1].provenance)
     compared = {drive.law.joint: drive.law for drive in drives}
-    loads = {(drive.law.joint, drive.direction): _loads(drive, (old, new)) for drive in drives}
-    return Changes(alpha, sessions, changes, tuple(apart), flags, old.machine, provenance, compared, loads)
-
-
-def _loads(drive: _Drive, logs: tuple[Log, Log]) -> Array:
-    """The loads of joint 3's traverses, each once; a rotary joint passes through those of either sign."""
-    both, joint = np.array([-1.0, 0.0, 1.0]), drive.law.joint
-    if not (drive.law.prismatic and drive.machine.has_published_geometry):
-        return both
-    rows = pd.concat([log.usable for log in logs], ignore_index=True)
-    rows = rows[(rows["joint"] == joint) & (rows["direction"] == drive.direction)]
-    sign = 1.0 if drive.direction == "+" else -1.0
-    loads = np.unique((sign * Prismatic().features(rows)[:, 1]).round(DECIMALS))
-    return loads if len(loads) > 1 else both
+    return Changes(alpha, sessions, changes, tuple(apart), flags, provenance, compared, (old, new))
 
 
 def _choose_together(logs: tuple[Log, Log], laws: Laws | None) -> Laws | None:
@@ -360,7 +343,7 @@ def _make_change(quantity: _Quantity, difference: Difference, alpha: float) -> C
 
 
 def _find_role(law: StepLaw, parameter: str) -> str:
-    return ROLES.get(parameter.split("_")[0], "") if is_published(law) or isinstance(law, Physical) else ""
+    return ROLES.get(parameter.split("_")[0], "") if is_published(law) else ""
 
 
 def _of_sizes(log_size: Difference) -> Difference:

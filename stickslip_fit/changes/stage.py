@@ -1,22 +1,26 @@
-"""Which change of the stage stands behind changes of an actuator, from step sizes and responses to load.
+"""Which change of the stage stands behind changes of an actuator, from the counts of two logs.
 
-Under the physical law (`laws.physical`) a quantity of the stage times e^s changes the step size without load
-and the response to load of each joint and direction in a way of its own, which depends on lambda. The
-response as a share of the step size, in the old log, gives r for each lambda; what follows from there is
-exact. Where the logs leave lambda open it is integrated out, as in `diagnosis.stage_change`. Errors are
-taken as normal and as wide as Student's t of their degrees of freedom; s is normal about 0 beforehand.
+Under the physical law (`laws.physical`) a quantity of the stage times e^s multiplies a_f T1^2, the load's
+share r of friction and lambda, each by a power of its own (`POWERS`). Each log is fitted by itself at one
+lambda after the other, which says how likely its lambda is, and gives the step size without load and r of
+every session. A change says what becomes of both and of lambda, so that one that takes some loads from one
+regime to the other is no exception. The means over the sessions of both logs are compared with that, with
+the scatter from day to day (`difference`); lambda is integrated out, as in `diagnosis.stage_change`. Errors
+are taken as normal and as wide as Student's t of their degrees of freedom; s is normal about 0 beforehand.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from math import log
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 from scipy.special import chdtrc
 
 from stickslip_fit._typing import Array, BoolArray
-from stickslip_fit.changes.detection import RESPONSE, SHARE, UNLOADED, Change, Changes
+from stickslip_fit.changes.detection import Changes
+from stickslip_fit.changes.difference import Difference, SessionEstimates, compare_means
 from stickslip_fit.diagnosis.stage_change import (
     SIZES,
     StageChange,
@@ -25,16 +29,21 @@ from stickslip_fit.diagnosis.stage_change import (
     friction_limited,
     weigh_changes,
 )
-from stickslip_fit.estimation.drive_ratio import COARSE, prior_shares
-from stickslip_fit.laws.physical import FRICTION_LIMITED, MAX_SHARE, POWERS, Physical
-from stickslip_fit.step import relative_step
+from stickslip_fit.estimation.drive_ratio import (
+    HIGHEST,
+    LOWEST,
+    RatioProfile,
+    RatioSearch,
+    prior_shares,
+)
+from stickslip_fit.laws import is_published
+from stickslip_fit.laws.physical import FRICTION_LIMITED, POWERS, Physical, physical_law_with
 
-RATIOS = np.array([*COARSE, FRICTION_LIMITED])
-SHARES = np.linspace(0.0, MAX_SHARE, 901)
-IMPOSSIBLE = 1e6  # sum of squares at a lambda that is ruled out, or at which a joint would stall
-SMALL = 1e-3
+LOG_RATIOS = np.linspace(np.log(LOWEST), np.log(HIGHEST), 1201)
+MODEL_SPREAD = 0.01  # of log lambda, by what is not Coulomb's friction, from one log to the other
+MAX_SPREAD = 0.1  # and by the scatter from day to day
+LEAST_LIKELIHOOD = 1e-200
 MIN_DF = 2.5  # of a difference, with fewer of which its error is too uncertain
-MAX_ERROR = 0.3  # of a logarithm, beyond which it says nothing
 
 
 @dataclass(frozen=True)
@@ -46,7 +55,7 @@ class StageDifference:
     changes : tuple of StageChange
         Of the likeliest trace first; relative sizes, new against old.
     regime : str
-        Where it has 95 %, else empty.
+        Of the old log, where it has 95 %, else empty.
     p_value : float
         That the likeliest describes all differences.
     """
@@ -69,149 +78,153 @@ def read_stage_difference(changes: Changes) -> StageDifference | None:
     StageDifference or None
         None where nothing changed, for other laws, and where the scatter from day to day is hardly known.
     """
-    if not changes.significant or not changes.machine.has_published_geometry:
+    if not changes.significant or not changes.logs[0].machine.has_published_geometry:
         return None
-    keys = dict.fromkeys((one.joint, one.direction) for one in changes.changes)
-    drives = [drive for joint, direction in keys if (drive := _drive(changes, joint, direction)) is not None]
-    responds = np.concatenate([np.zeros(0, bool), *(drive.responds for drive in drives)])
-    if not responds.any() or responds.all():
+    joints = [joint for joint, law in changes.laws.items() if is_published(law) or isinstance(law, Physical)]
+    drives = [drive for joint in joints for drive in _fit_drives(changes, joint)]
+    compared = iter(compare_means([one for drive in drives for one in drive.estimates], changes.alpha))
+    errors = [np.array([_widen(next(compared)) for _ in drive.estimates]) for drive in drives]
+    known = [np.isfinite(own) for own in errors]
+    if not (any(own[0] for own in known) and any(own[1:].any() for own in known)):
         return None
-    terms = {quantity: [drive.log_likelihood(quantity) for drive in drives] for quantity in POWERS}
+    squares = {
+        quantity: [drive.squares(quantity, own) for drive, own in zip(drives, errors, strict=True)]
+        for quantity in POWERS
+    }
+    prior = [np.log(prior_shares(drive.ratios))[:, None] for drive in drives]
+    terms = {
+        quantity: [start - each / 2 for start, each in zip(prior, own, strict=True)]
+        for quantity, own in squares.items()
+    }
     found, log_posterior = weigh_changes(terms)
-    limited = friction_limited([RATIOS] * len(drives), terms, log_posterior)
+    limited = friction_limited([drive.ratios for drive in drives], terms, log_posterior)
+    whole = len(drives) == len({(one.joint, one.direction) for one in changes.changes})
     best = found[0].trace
     at = int(np.argmax(log_posterior[best]))
-    excess = sum(float(drive.squares(best)[:, at].min()) for drive in drives)
-    return StageDifference(found, find_regime(limited), float(chdtrc(len(responds) - 1, excess)))
+    excess = sum(float(own[:, at].min()) for own in squares[best])
+    free = sum(int(own.sum()) + drive.knows_ratio for drive, own in zip(drives, known, strict=True)) - 1
+    return StageDifference(found, find_regime(limited) if whole else "", float(chdtrc(free, excess)))
 
 
 @dataclass(frozen=True, eq=False)
-class _DriveChange:
-    """A joint and direction.
+class _DriveFits:
+    """A joint and direction, of which each log was fitted at every lambda.
 
     Attributes
     ----------
-    values, errors : array, shape (n,)
-        Logarithms of new over old, and their errors.
-    responds : array of bool, shape (n,)
-        Of the response to load, else of the step size without load.
-    is_physical : bool
-        Of parameters of a physical law: the step size is that without load, the response a share of it. Of a
-        published law both are those of a line through steps under several loads.
-    relative : float
-        Response to full load as a share of the step size, in the old log.
-    loads : array, shape (k,)
-        Against the motion, as shares of the full load.
-    is_open : array of bool, shape (m,)
-        Which of `RATIOS` the logs leave open.
+    ratios : array, shape (m,)
+    profiles : tuple of RatioProfile
+        Of the old and the new log.
+    values, variances : array, shape (m, g, q)
+        By lambda and session the logarithm of the step size without load, then the values of r.
+    known : array of bool, shape (g, q)
+        Whether a session determines a quantity, whatever lambda.
+    is_new : array of bool, shape (g,)
     """
 
+    ratios: Array
+    profiles: tuple[RatioProfile, RatioProfile]
     values: Array
-    errors: Array
-    responds: BoolArray
-    is_physical: bool
-    relative: float
-    loads: Array
-    is_open: BoolArray
+    variances: Array
+    known: BoolArray
+    is_new: BoolArray
 
-    def squares(self, quantity: str) -> Array:
-        """Sum of squares, in units of the errors, at each lambda and size, shape (m, sizes)."""
-        unloaded, response = self._predict(quantity)
-        square = np.zeros(unloaded.shape)
-        for value, error, responds in zip(self.values, self.errors, self.responds, strict=True):
-            square += ((value - (response if responds else unloaded)) / error) ** 2
-        return np.where(np.isfinite(square) & self.is_open[:, None], square, IMPOSSIBLE)
+    @property
+    def estimates(self) -> list[SessionEstimates]:
+        """Of each quantity, at the likeliest lambda of the old log."""
+        found = []
+        for k in range(self.values.shape[2]):
+            values, variances = (
+                array[self._place, self.known[:, k], k] for array in (self.values, self.variances)
+            )
+            kind, scale = ("r", float(np.sqrt(np.mean(variances)))) if k else ("unloaded", 1.0)
+            found.append(SessionEstimates(kind, values, variances, self.is_new[self.known[:, k]], scale))
+        return found
 
-    def log_likelihood(self, quantity: str) -> Array:
-        """With the prior of lambda, shape (m, sizes)."""
-        return np.log(prior_shares(RATIOS))[:, None] - self.squares(quantity) / 2
+    @property
+    def knows_ratio(self) -> bool:
+        """Whether both logs bound lambda."""
+        ends = [end for profile in self.profiles for end in profile.interval()]
+        return min(ends) > 0 and max(ends) < np.inf
 
-    def _predict(self, quantity: str) -> tuple[Array, Array]:
-        """Logarithms of what a change of each size makes of step size and response, (m, sizes) each.
+    @property
+    def _place(self) -> int:
+        return int(np.argmax(self.profiles[0].probability))
 
-        NaN at a lambda at which the response was never so large, and where the joint stalls.
+    def squares(self, quantity: str, errors: Array) -> Array:
+        """Sum of squares, in units of the errors, at each lambda of the old log and size, shape (m, sizes).
+
+        `errors`, shape (q,), are those of the differences of `estimates`; infinite where nothing is known.
         """
-        unit, by_share, by_ratio = (np.exp(power * SIZES) for power in POWERS[quantity])
-        with np.errstate(invalid="ignore", divide="ignore"):
-            possible = [_Line(np.full(len(SHARES), ratio), SHARES, self.loads).fall for ratio in RATIOS]
-            share = np.array([np.interp(self.relative, fall, SHARES, right=np.nan) for fall in possible])
-            before = _Line(RATIOS[:, None], share[:, None], self.loads)
-            after = _Line(RATIOS[:, None] * by_ratio, share[:, None] * by_share, self.loads)
-            response = np.log(after.fall / before.fall)
-            if self.is_physical:
-                return np.log(unit * after.unloaded / before.unloaded), response
-            middle = np.log(unit * after.middle / before.middle)
-            return middle, middle + response
+        unit, by_share, by_ratio = (power * SIZES for power in POWERS[quantity])
+        before, factor = np.log(self.ratios)[:, None], np.exp(by_share)
+        after = before + by_ratio
+        spread = float(np.hypot(MODEL_SPREAD, min(errors[0], MAX_SPREAD)))
+        old, new = self.profiles
+        total = -2 * (_log_likelihood(old, 0.0)(before) + _log_likelihood(new, spread)(after))
+        for k, error in enumerate(errors):
+            means = self._means(k, is_new=True)
+            mean, slope = (
+                np.interp(after, before[:, 0], each) for each in (means, np.gradient(means, before[:, 0]))
+            )
+            off = mean - self._means(k, is_new=False)[:, None] * (factor if k else 1.0)
+            if k:  # below all lambdas the response to load is that of lambda r
+                off += mean * np.expm1(np.maximum(np.log(LOWEST) - after, 0.0))
+            else:
+                off += np.minimum(before, 0.0) - np.minimum(after, 0.0) - unit
+            widened = error * (np.hypot(1.0, factor) / np.sqrt(2.0) if k else 1.0)
+            total += off**2 / ((widened * self._spread(k)[:, None]) ** 2 + (slope * spread) ** 2)
+        return total
+
+    def _means(self, k: int, *, is_new: bool) -> Array:
+        """Over the sessions of one log, at each lambda, shape (m,)."""
+        return self.values[:, self.known[:, k] & (self.is_new == is_new), k].mean(axis=1)
+
+    def _spread(self, k: int) -> Array:
+        """Scatter by a session's traverses over that of the likeliest lambda, shape (m,)."""
+        variance = self.variances[:, self.known[:, k], k].mean(axis=1)
+        return np.sqrt(variance / variance[self._place])
 
 
-class _Line:
-    """A line through steps over a_f T1^2 under some loads against the motion.
-
-    Parameters
-    ----------
-    ratio, share : array
-        Of one shape.
-    loads : array, shape (k,)
-        Shares of the full load.
-
-    Attributes
-    ----------
-    unloaded, middle : array
-        The step without load, and what the line says of it.
-    fall : array
-        What the line loses under full load, as a share of `middle`.
-    """
-
-    def __init__(self, ratio: Array, share: Array, loads: Array) -> None:
-        step = relative_step(ratio[..., None], share[..., None] * loads).step
-        self.unloaded = relative_step(ratio, 0.0 * share).step
-        fit = np.linalg.pinv(np.column_stack([np.ones(len(loads)), -loads]))
-        self.middle = step @ fit[0]
-        self.fall = (step @ fit[1]) / self.middle
-
-
-def _drive(changes: Changes, joint: int, direction: str) -> _DriveChange | None:
-    """None where there is too little to be compared."""
-    law = changes.laws[joint]
-    own = [one for one in changes.changes if (one.joint, one.direction) == (joint, direction) and one.role]
-    first = {one.role: one.difference.old for one in reversed(own)}
-    if UNLOADED not in first or len(first) < 2:
-        return None
-    loads = changes.loads[joint, direction]
-    if isinstance(law, Physical):
-        ratio, *others = law.ratios[int(direction == "-")], *law.plausible[int(direction == "-")]
-        relative = _fall(ratio, first[SHARE], loads)
-        is_open = (min(ratio, *others, ratio) <= RATIOS) & (max(ratio, *others, ratio) >= RATIOS)
-        is_open[np.argmin(np.abs(RATIOS - ratio))] = True
-        logs = [_log_response(one, ratio, loads) if one.role == SHARE else _log_ratio(one) for one in own]
-    else:
-        relative, is_open = abs(first[RESPONSE] / first[UNLOADED]), np.ones(len(RATIOS), bool)
-        logs = [_log_ratio(one) for one in own]
-    used = [k for k, one in enumerate(own) if logs[k][1] < MAX_ERROR and one.difference.df > MIN_DF]
-    if not used:
-        return None
-    values, errors = np.array(logs)[used].T
-    responds = np.array([own[k].role != UNLOADED for k in used])
-    return _DriveChange(values, errors, responds, isinstance(law, Physical), relative, loads, is_open)
+def _fit_drives(changes: Changes, joint: int) -> Iterator[_DriveFits]:
+    """The directions of a joint that both logs determine."""
+    machine = changes.logs[0].machine
+    rows = [log.usable[log.usable["joint"] == joint] for log in changes.logs]
+    laws = [physical_law_with(joint, own, machine, (FRICTION_LIMITED, FRICTION_LIMITED)) for own in rows]
+    if laws[0].describe() != laws[1].describe():
+        return
+    searches = [RatioSearch(joint, own, machine) for own in rows]
+    for search in searches:
+        search.refine()
+    ratios = sorted({ratio for search in searches for ratio in search.found})
+    for search in searches:
+        search.evaluate(ratios)
+    old, new = (search.profiles() for search in searches)
+    for way in sorted(old.keys() & new.keys()):
+        sessions = [search.sessions(way) for search in searches]
+        values, variances, known = (
+            np.concatenate([getattr(one, name) for one in sessions], axis=1)
+            for name in ("values", "variances", "known")
+        )
+        is_new = np.repeat([False, True], [one.values.shape[1] for one in sessions])
+        known = known.all(axis=0)
+        if all(known[is_new == side].any(axis=0).all() for side in (False, True)):
+            yield _DriveFits(np.array(ratios), (old[way], new[way]), values, variances, known, is_new)
 
 
-def _fall(ratio: float, share: float, loads: Array) -> float:
-    """The response of a lambda and an r."""
-    return float(_Line(np.array(ratio), np.array(abs(share)), loads).fall)
+def _log_likelihood(profile: RatioProfile, spread: float) -> Callable[[Array], Array]:
+    """Of log lambda, relative to that of the likeliest, where lambda scatters by `spread` beside."""
+    known = np.log(np.maximum(profile.likelihood, LEAST_LIKELIHOOD))
+    if not spread:
+        return lambda log_ratio: np.interp(log_ratio, np.log(profile.ratios), known)
+    sharp = np.exp(np.interp(LOG_RATIOS, np.log(profile.ratios), known))
+    smooth = gaussian_filter1d(sharp, spread / (LOG_RATIOS[1] - LOG_RATIOS[0]), mode="nearest")
+    log_smooth = np.log(np.maximum(smooth / smooth.max(), LEAST_LIKELIHOOD))
+    return lambda log_ratio: np.interp(log_ratio, LOG_RATIOS, log_smooth)
 
 
-def _log_response(change: Change, ratio: float, loads: Array) -> tuple[float, float]:
-    """As `_log_ratio` of r, of the response that it makes."""
-    _, error = _log_ratio(change)
-    old, new = change.difference.old, change.difference.new
-    before, beside, after = (_fall(ratio, share, loads) for share in (old, old * (1 + SMALL), new))
-    return log(after / before), error * log(beside / before) / log(1 + SMALL)
-
-
-def _log_ratio(change: Change) -> tuple[float, float]:
-    """Logarithm of new over old, and its error, as wide as Student's t; NaN where the sign differs."""
-    difference = change.difference
-    if not difference.old * difference.new > 0:
-        return np.nan, np.nan
-    widened = difference.standard_error * np.sqrt(difference.df / max(difference.df - 2.0, 0.5))
-    return log(difference.new / difference.old), float(widened / abs(difference.old))
+def _widen(difference: Difference) -> float:
+    """Its error, as wide as Student's t; infinite with too few degrees of freedom."""
+    if not difference.df > MIN_DF:
+        return np.inf
+    return float(difference.standard_error * np.sqrt(difference.df / (difference.df - 2.0)))

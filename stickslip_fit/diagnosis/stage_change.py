@@ -270,7 +270,8 @@ def _log_likelihoods(one: Fingerprint, change: str) -> Array:
     """Of each size of a change at each lambda, with the prior of lambda, shape (m, sizes)."""
     fits = [fits[change] for fits in one.fits]
     deviance = [fit.deviance + fit.information[0, 0] * (SIZES - fit.size[0]) ** 2 for fit in fits]
-    return np.log(prior_shares(one.ratios))[:, None] - one.log_ratio(np.array(deviance) - one.least) / 2
+    excess = np.array(deviance) + one.penalty[:, None] - one.least
+    return np.log(prior_shares(one.ratios))[:, None] - one.log_ratio(excess) / 2
 
 
 def weigh_changes(

@@ -13,18 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, linearize_fit
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
-from stickslip_fit.estimation.drive_ratio import laws_by_width, stack_ratios, start_at
+from stickslip_fit.estimation.drive_ratio import RATIOS, laws_by_width, stack_ratios, start_at
 from stickslip_fit.laws import FRICTION_LIMITED
 from stickslip_fit.laws.physical import POWERS, Physical
 from stickslip_fit.machine import Machine
 
 FREE = "free"
 SINGLE = tuple(POWERS)  # of mass is friction's with the sign reversed
-COARSE = (0.3, 0.5, 0.7, 0.85, 0.95, 1.05, 1.2, FRICTION_LIMITED)
-BEYOND = (1.4, 1.7, 2.1)  # of counts that a change may take to the other regime
+EVERYWHERE = (*RATIOS, FRICTION_LIMITED)
+NEAR = (*RATIOS[::2], FRICTION_LIMITED)  # between which is looked for lambda where it is likely
 REFINEMENTS = 2
 REFITS, FINER = 2, 6  # of the law without the change that fits best, each at ever closer lambdas
 UNLIKELY = 60.0  # deviance beyond the least, in units of the noise, of a lambda that is not looked at
@@ -73,7 +73,7 @@ class Fingerprint:
         The lambdas, in rising order.
     fits : tuple of mapping of str to ChangeFit
         At each, by change: those of `SINGLE` and `FREE`; of infinite deviance where lambda is too unlikely.
-    df : int
+    df : array of int, shape (m,)
         Of the residuals that a free change leaves.
     """
 
@@ -81,35 +81,37 @@ class Fingerprint:
     direction: str
     ratios: Array
     fits: tuple[dict[str, ChangeFit], ...]
-    df: int
-
-    @classmethod
-    def of(
-        cls, joint: int, direction: str, fits: Mapping[float, dict[str, ChangeFit]], df: int
-    ) -> Fingerprint:
-        """Of fits by lambda."""
-        ratios = sorted(fits)
-        return cls(joint, direction, np.array(ratios), tuple(fits[ratio] for ratio in ratios), df)
-
-    @property
-    def least(self) -> float:
-        """The deviance that the best change leaves: a free one, or one into the other regime."""
-        return min(fit.deviance for fits in self.fits for fit in fits.values())
+    df: IntArray
 
     @property
     def excess(self) -> float:
         """Deviance that the best of the single changes leaves beyond noise's, in standard deviations."""
-        df = max(self.df, 1)
-        return (min(map(_least, self.fits)) - df) / float(np.sqrt(2.0 * df))
+        deviance = np.array([_least(fits) for fits in self.fits])
+        return float(np.min((deviance - self.df) / np.sqrt(2.0 * self.df)))
 
     @property
     def spread(self) -> float:
         """Variance of the residuals beside the noise's; at least 1."""
-        return max(1.0, self.least / max(self.df, 1))
+        return max(1.0, float(np.min(self._best / self.df)))
+
+    @property
+    def penalty(self) -> Array:
+        """What laws of more parameters pay for them as in Akaike's criterion, as a deviance, shape (m,)."""
+        return np.asarray(2.0 * self.spread * (self.df.max() - self.df), float)
+
+    @property
+    def least(self) -> float:
+        """The deviance that the best change leaves, free or into the other regime, with the penalty."""
+        return float(np.min(self._best + self.penalty))
+
+    @property
+    def _best(self) -> Array:
+        """The least deviance at each lambda, shape (m,)."""
+        return np.array([min(fit.deviance for fit in fits.values()) for fits in self.fits])
 
     def log_ratio(self, excess: Array) -> Array:
-        """Twice the log likelihood ratio of deviances that differ so; `df` residuals tell the noise."""
-        df = max(self.df, 1)
+        """Twice the log likelihood ratio of deviances that differ so; the residuals tell the noise."""
+        df = int(self.df.max())
         return df * np.log1p(np.maximum(excess, 0.0) / (df * self.spread))
 
 
@@ -138,69 +140,97 @@ def fit_changes(
     course : array, shape (n,)
         How far the change is on at each traverse, 1 at most.
     """
-
-    def fit_laws(ratios: Iterable[float], effect: Array) -> dict[float, LinearizedFit]:
-        """The law at each lambda, without an effect."""
-        fits: dict[float, LinearizedFit] = {}
-        for laws in laws_by_width(joint, rows, machine, ratios):
-            fits.update(_linearize(laws, rows, response - effect, scale))
-        return fits
-
-    before = fit_laws(COARSE, effect)
-    for _ in range(REFINEMENTS):
-        squares = {ratio: float(at.residual @ at.residual) for ratio, at in before.items()}
-        before.update(fit_laws(_middles_beside_best(squares), effect))
-    df = min(at.df for at in before.values()) - 2
-    squares = {ratio: float(at.residual @ at.residual) for ratio, at in before.items()}
-    most = min(squares.values()) + UNLIKELY * max(1.0, min(squares.values()) / max(df, 1))
-    fits = {
-        ratio: _fit_all(at, ratio, response, course) if squares[ratio] < most else IMPOSSIBLE
-        for ratio, at in before.items()
-    }
-    found = Fingerprint.of(joint, direction, fits, df)
+    traverses = _Traverses(joint, direction, rows, machine, response, scale, course)
+    found = traverses.fit_near(effect)
     if found.excess < LARGEST_EXCESS:
         return found
     # Of a change that takes some loads from one regime to the other, the finding's effect may be far off, and
     # with it the lambda that fits best without it.
+    wide = found
     for _ in range(REFITS):
-        before, fits, ratios = {}, {}, [*COARSE, *BEYOND]
+        wide, effect = traverses.fit_everywhere(effect)
+    return min(found, wide, key=lambda one: one.excess)
+
+
+@dataclass(frozen=True, eq=False)
+class _Traverses:
+    """The traverses of one joint and direction; see `fit_changes`."""
+
+    joint: int
+    direction: str
+    rows: pd.DataFrame
+    machine: Machine
+    response: Array
+    scale: Array
+    course: Array
+
+    def fit_near(self, effect: Array) -> Fingerprint:
+        """Changes at the lambdas that are likely once `effect` is taken out."""
+        before = self._fit_laws(NEAR, effect)
+        for _ in range(REFINEMENTS):
+            squares = {ratio: float(at.residual @ at.residual) for ratio, at in before.items()}
+            before |= self._fit_laws(_middles_beside_best(squares), effect)
+        squares = {ratio: float(at.residual @ at.residual) for ratio, at in before.items()}
+        least, df = min(squares.values()), max(at.df for at in before.values())
+        most = least + UNLIKELY * max(1.0, least / max(df, 1))
+        fits = {
+            ratio: self._fit_all(at, ratio) if squares[ratio] < most else IMPOSSIBLE
+            for ratio, at in before.items()
+        }
+        return self._fingerprint(before, fits)
+
+    def fit_everywhere(self, effect: Array) -> tuple[Fingerprint, Array]:
+        """Changes at every lambda, and what the one that fits best does to each count, shape (n,)."""
+        before: dict[float, LinearizedFit] = {}
+        fits: dict[float, dict[str, ChangeFit]] = {}
+        ratios: Sequence[float] = EVERYWHERE
         for _ in range(FINER):
-            before.update(fit_laws(ratios, effect))
-            fits.update({ratio: _fit_all(before[ratio], ratio, response, course) for ratio in ratios})
+            before |= self._fit_laws(ratios, effect)
+            fits |= {ratio: self._fit_all(before[ratio], ratio) for ratio in ratios}
             ratios = _middles_beside_best({ratio: _least(own) for ratio, own in fits.items()})
-        effect = _best_effect(before, fits, course)
-    return min(found, Fingerprint.of(joint, direction, fits, df), key=lambda one: one.excess)
+        ratio = min(fits, key=lambda one: _least(fits[one]))
+        name = min(SINGLE, key=lambda one: fits[ratio][one].deviance)
+        best = _effects(before[ratio], ratio).by(name, fits[ratio][name].size, self.course)
+        return self._fingerprint(before, fits), best
+
+    def _fit_laws(self, ratios: Iterable[float], effect: Array) -> dict[float, LinearizedFit]:
+        """The law at each lambda, without an effect."""
+        fits: dict[float, LinearizedFit] = {}
+        for laws in laws_by_width(self.joint, self.rows, self.machine, ratios):
+            fits |= _linearize(laws, self.rows, self.response - effect, self.scale)
+        return fits
+
+    def _fit_all(self, at: LinearizedFit, ratio: float) -> dict[str, ChangeFit]:
+        """Every change at one lambda."""
+        changes = _effects(at, ratio)
+        target = at.project(at.whiten(self.response - changes.unchanged))
+        fits = {}
+        for name in (*SINGLE, FREE):
+
+            def projected(size: Array, name: str = name) -> Array:
+                return at.project(at.whiten(changes.by(name, size, self.course)))
+
+            fits[name] = _fit_size(projected, target, 2 if name == FREE else 1)
+        return fits
+
+    def _fingerprint(
+        self, before: Mapping[float, LinearizedFit], fits: Mapping[float, dict[str, ChangeFit]]
+    ) -> Fingerprint:
+        ratios = sorted(fits)
+        df = np.array([max(before[ratio].df - 2, 1) for ratio in ratios])
+        own = tuple(fits[ratio] for ratio in ratios)
+        return Fingerprint(self.joint, self.direction, np.array(ratios), own, df)
 
 
-def _best_effect(
-    before: Mapping[float, LinearizedFit], fits: Mapping[float, dict[str, ChangeFit]], course: Array
-) -> Array:
-    """What the single change that fits best does to each count, shape (n,)."""
-    ratio = min(fits, key=lambda one: _least(fits[one]))
-    name = min(SINGLE, key=lambda one: fits[ratio][one].deviance)
-    (part,) = before[ratio].parts
-    effects = StageEffects(part.law, before[ratio].rows, part.values, ratio)
-    return effects.by(name, fits[ratio][name].size, course)
+def _effects(at: LinearizedFit, ratio: float) -> StageEffects:
+    """Of changes of the law that was fitted at one lambda."""
+    (part,) = at.parts
+    return StageEffects(part.law, at.rows, part.values, ratio)
 
 
 def _least(fits: Mapping[str, ChangeFit]) -> float:
     """The deviance that the best of the single changes leaves."""
     return min(fits[name].deviance for name in SINGLE)
-
-
-def _fit_all(at: LinearizedFit, ratio: float, response: Array, course: Array) -> dict[str, ChangeFit]:
-    """Every change at one lambda."""
-    (part,) = at.parts
-    changes = StageEffects(part.law, at.rows, part.values, ratio)
-    target = at.project(at.whiten(response - changes.unchanged))
-    fits = {}
-    for name in (*SINGLE, FREE):
-
-        def projected(size: Array, name: str = name) -> Array:
-            return at.project(at.whiten(changes.by(name, size, course)))
-
-        fits[name] = _fit_size(projected, target, 2 if name == FREE else 1)
-    return fits
 
 
 def _linearize(

@@ -11,12 +11,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.estimation._optimize import Groups, Minimum
+from stickslip_fit.estimation._optimize import Groups, Minimum, group_rows
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, JointProblem, Problem, single_problem
+from stickslip_fit.estimation.identifiability import identifiable_parameters
 from stickslip_fit.laws import Rows, StepLaw
 from stickslip_fit.laws.base import Model
 from stickslip_fit.laws.physical import (
@@ -29,7 +29,7 @@ from stickslip_fit.laws.physical import (
 from stickslip_fit.machine import Machine
 
 LOWEST, HIGHEST = 0.1, 10.0  # of the prior
-COARSE = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
+RATIOS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2, 1.35, 1.6, 2.0)
 REFINEMENTS = 2
 UNLIKELY = 0.147  # likelihood ratio at the ends of an interval of 95 %
 NEGLIGIBLE = 1e-3  # of the largest density
@@ -37,6 +37,7 @@ FLAT = 0.7  # likelihood ratio of neighbours between which nothing is looked for
 MAX_ITERATIONS = 40
 MAX_OTHERS, MAX_CHANGES = 4, 2  # lambdas beside the best, and directions in which their fits differ
 MIN_CHANGE = 1e-3  # of the responses of all traverses together
+EXACT = 1e-6  # root mean square of residuals, log(steps), below which a law passes through every count
 START_SLOPE = 0.2  # share of the step size that a full load takes
 
 
@@ -94,9 +95,10 @@ class RatioProfile:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of log(steps) that the most likely lambda leaves."""
-        at = int(np.argmax(self.likelihood))
-        return float(np.sqrt(self.squares[at] / self.free[at]))
+        """Standard deviation of log(steps) that the most likely lambda leaves; NaN without residuals."""
+        tested = _leaves_residuals(self.squares, self.free)
+        at = int(np.argmax(np.where(tested, self.likelihood, -1.0)))
+        return float(np.sqrt(self.squares[at] / self.free[at])) if tested[at] else np.nan
 
     @property
     def friction_limited(self) -> float:
@@ -180,7 +182,7 @@ def ratio_changes(law: object, rows: pd.DataFrame, machine: Machine) -> list[tup
     """
     if not isinstance(law, Physical) or not any(law.plausible):
         return []
-    search = _RatioSearch(law.joint, rows, machine)
+    search = RatioSearch(law.joint, rows, machine)
     changes = []
     for sign, ratio, others in zip("+-", law.ratios, law.plausible, strict=True):
         own = np.flatnonzero((rows["direction"] == sign).to_numpy())
@@ -200,7 +202,7 @@ def profile_ratio(
     joint: int,
     rows: pd.DataFrame,
     machine: Machine,
-    ratios: Sequence[float] = COARSE,
+    ratios: Sequence[float] = RATIOS,
     refinements: int = REFINEMENTS,
 ) -> dict[str, RatioProfile]:
     """The profile of each direction.
@@ -216,21 +218,51 @@ def profile_ratio(
     refinements : int, optional
         How often to halve the intervals that matter.
     """
-    search = _RatioSearch(joint, rows, machine)
-    search.evaluate({*ratios, FRICTION_LIMITED})
-    for _ in range(refinements):
-        search.evaluate(search.wanted())
+    search = RatioSearch(joint, rows, machine)
+    search.refine(ratios, refinements)
     return search.profiles()
 
 
-class _RatioSearch:
-    """Fits at many lambdas, each the same in both directions, which share nothing."""
+@dataclass(frozen=True, eq=False)
+class SessionValues:
+    """What each session of a joint and direction says at one lambda or more.
+
+    Attributes
+    ----------
+    values, variances : array, shape (..., g, q)
+        The logarithm of the step size without load, then the values of r.
+    known : array of bool, shape (..., g, q)
+        Whether the session determines them.
+    """
+
+    values: Array
+    variances: Array
+    known: BoolArray
+
+
+class RatioSearch:
+    """Fits at many lambdas, each the same in both directions, which share nothing.
+
+    Parameters
+    ----------
+    joint : int
+    rows : DataFrame
+        Usable traverses of the joint.
+    machine : Machine
+    """
 
     def __init__(self, joint: int, rows: pd.DataFrame, machine: Machine) -> None:
         self.joint, self.rows, self.machine = joint, rows, machine
         self.found: dict[float, dict[str, tuple[float, ...]]] = {}
         self.minima: dict[float, Array] = {}
         self.residuals: dict[float, Array] = {}
+        self.estimates: dict[float, SessionValues] = {}
+
+    def refine(self, ratios: Sequence[float] = RATIOS, refinements: int = REFINEMENTS) -> None:
+        """Evaluate some lambdas and `FRICTION_LIMITED`, then the middles of the intervals that matter."""
+        self.evaluate({*ratios, FRICTION_LIMITED})
+        for _ in range(refinements):
+            self.evaluate(self.wanted())
 
     def evaluate(self, ratios: Iterable[float]) -> None:
         """Sum of squares, mean r and its error of each direction at lambdas that are not known yet."""
@@ -260,29 +292,43 @@ class _RatioSearch:
             own = slice(k * g, (k + 1) * g)
             self.minima[ratio] = minimum.values[own]
             self.residuals[ratio] = minimum.residual[k * n : (k + 1) * n]
+            determined, _, covariance = identifiable_parameters(minimum.curvature[own], problem.scales)
+            self.estimates[ratio] = _session_values(law, minimum.values[own], covariance, determined)
             self.found[ratio] = self._summarize(
-                problem, minimum.values[own], minimum.curvature[own], minimum.rank[own], self.residuals[ratio]
+                problem, self.estimates[ratio], minimum.rank[own], self.residuals[ratio]
             )
 
     def _summarize(
-        self, problem: JointProblem, values: Array, curvature: Array, rank: IntArray, residual: Array
+        self, problem: JointProblem, estimates: SessionValues, rank: IntArray, residual: Array
     ) -> dict[str, tuple[float, ...]]:
         squares, size = problem.groups.sums(residual**2), problem.groups.sizes
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = np.linalg.pinv(curvature * problem.scales[:, :, None] * problem.scales[:, None, :])
         found: dict[str, tuple[float, ...]] = {}
         for way in dict.fromkeys(problem.directions):
             own = problem.directions == way
-            free = int(max(size[own].sum() - rank[own].sum(), 1))
+            free = int(size[own].sum() - rank[own].sum())
             total = float(squares[own].sum())
-            variance = inverse[own, -1, -1] * total / free
+            variance = estimates.variances[own, -1] * (total / free if free else np.nan)
             known = variance > 0
             weight = np.where(known, 1.0 / np.where(known, variance, 1.0), 0.0)
-            shares = values[own, -1]
+            shares = estimates.values[own, -1]
             mean = float(weight @ shares / weight.sum()) if known.any() else float(np.mean(shares))
             error = float(weight.sum() ** -0.5) if known.any() else np.inf
             found[str(way)] = (total, mean, error, free)
         return found
+
+    def sessions(self, direction: str) -> SessionValues:
+        """At every lambda, in rising order, with the noise that the likeliest leaves; shapes (m, g, q)."""
+        table = group_rows(self.rows).table
+        own, every = (
+            (table["direction"] == direction).to_numpy(),
+            [self.estimates[r] for r in sorted(self.found)],
+        )
+        noise = self.profiles()[direction].noise
+        return SessionValues(
+            np.array([one.values[own] for one in every]),
+            np.array([one.variances[own] for one in every]) * noise**2,
+            np.array([one.known[own] for one in every]),
+        )
 
     def wanted(self) -> list[float]:
         """Middles of the intervals next to what is likely in either direction."""
@@ -348,6 +394,16 @@ def stack_ratios(problem: JointProblem, law: Physical, ratios: Array) -> Problem
     )
 
 
+def _session_values(law: Physical, values: Array, covariance: Array, known: BoolArray) -> SessionValues:
+    """In units of the noise, of parameters of shape (g, p)."""
+    columns = [0, *_shares(law)]
+    variances = np.diagonal(covariance, axis1=1, axis2=2)[:, columns].copy()
+    variances[:, 0] /= values[:, 0] ** 2
+    own = values[:, columns]
+    own[:, 0] = np.log(own[:, 0])
+    return SessionValues(own, variances, known[:, columns])
+
+
 def _from_nearest(known: Mapping[float, Array], law: StepLaw, ratio: float) -> Array:
     """The values of the nearest other lambda, with the response to load that they have there."""
     nearest = min((other for other in known if other != ratio), key=lambda other: abs(np.log(other / ratio)))
@@ -379,17 +435,25 @@ def _shares(law: StepLaw) -> list[int]:
     return [k for k, parameter in enumerate(law.parameters) if parameter.name.startswith("r")]
 
 
-def _relative_likelihood(squares: Array, free: npt.ArrayLike) -> Array:
+def _leaves_residuals(squares: Array, free: Array | IntArray) -> BoolArray:
+    """Whether the fit at each lambda does not pass through every count."""
+    return (free > 0) & (squares > free * EXACT**2)
+
+
+def _relative_likelihood(squares: Array, free: Array | IntArray) -> Array:
     """Of each lambda over that of the best, with the noise profiled out.
 
-    Laws of more parameters pay for them as in Akaike's criterion.
+    Laws of more parameters pay for them as in Akaike's criterion. Those that pass through every count leave
+    no residuals that could speak for or against them, and are as likely as the best of the others.
     """
-    fits, free = np.isfinite(squares), np.asarray(free, float)
-    squares = np.where(fits, squares, np.inf)
-    best = int(np.argmin(squares / free))
+    tested, free = _leaves_residuals(squares, free), free.astype(float)
+    if not tested.any():
+        return np.ones(len(squares))
+    squares = np.where(np.isfinite(squares), squares, np.inf)
+    best = int(np.argmin(np.where(tested, squares, np.inf) / np.maximum(free, 1.0)))
     excess = squares / squares[best] - 1.0
     log = -free[best] / 2 * np.log1p(np.maximum(excess, -0.99)) + (free - free[best])
-    return np.exp(log - log.max())
+    return np.where(tested, np.exp(log - log[tested].max()), 1.0)
 
 
 def prior_shares(ratios: Array) -> Array:

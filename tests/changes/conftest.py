@@ -21,6 +21,7 @@ repeatability_pct = 0.27
 joint = 3
 q2_deg = [-90, 0]
 theta_deg = [-90, 0]
+psi_deg = [{psi}]
 """
 
 
@@ -28,14 +29,15 @@ theta_deg = [-90, 0]
 def make_log(tmp_path_factory):
     """A log of so many days of a month, in which `a` of direction + is so much larger than it should be.
 
-    `scale` multiplies a and c of both directions; `truth` are a law and its values in place of the usual.
+    `scale` multiplies a and c of both directions; `truth` are a law and its values in place of the usual;
+    `psi` are the angles, which without others than 0 leave two loads in either direction.
     """
     folder = tmp_path_factory.mktemp("plans")
 
-    def make(days, *, month=3, seed=0, change=0.0, day_to_day=0.005, scale=(1.0, 1.0), truth=None):
+    def make(days, *, month=3, seed=0, change=0.0, day_to_day=0.005, scale=(1.0, 1.0), truth=None, psi="0"):
         path = folder / f"{days}-{month}.toml"
         path.write_text(
-            PLAN.format(dates=", ".join(f"2012-{month:02d}-{day:02d}" for day in range(5, 5 + days)))
+            PLAN.format(dates=", ".join(f"2012-{month:02d}-{day:02d}" for day in range(5, 5 + days)), psi=psi)
         )
         values = {(3, way, None): value.copy() for way, value in TRUTH.items()}
         values[3, "+", None][0] *= 1 + change

@@ -13,7 +13,8 @@ from stickslip_fit.step import step_size
 
 GRAVITY = 9.80665
 # Of a stage: friction over mass, ramp time, travel of the foot over what friction allows.
-FRICTION, RAMP, RATIO = 45.0, 1.45e-4, {"friction-limited": 3.0, "velocity-limited": 0.5}
+FRICTION, RAMP = 45.0, 1.45e-4
+RATIO = {"friction-limited": 3.0, "velocity-limited": 0.5, "limited under some loads": 1.05}
 SIZE = 0.1
 FRICTION_OR_MASS = {"friction", "mass"}
 CASES = {  # what changed, in which regime: what is told
@@ -35,8 +36,9 @@ def stage(regime, quantity="", factor=1.0):
     )
 
 
-def compare(make_log, before, after, laws=None):
-    return detect_changes(make_log(6, truth=before), make_log(6, month=4, seed=1, truth=after), laws=laws)
+def compare(make_log, before, after, laws=None, psi="0"):
+    old, new = make_log(6, truth=before, psi=psi), make_log(6, month=4, seed=1, truth=after, psi=psi)
+    return detect_changes(old, new, laws=laws)
 
 
 @pytest.mark.parametrize("laws", [None, {3: ssf.physical_law}], ids=["published", "physical"])
@@ -51,6 +53,22 @@ def test_a_change_of_the_stage_is_read(make_log, quantity, regime, laws):
     assert read.size.low < SIZE < read.size.high
     assert read.size.high - read.size.low < 0.1
     assert f"{regime} steps" in summarize_changes(changes).headline[-1]
+
+
+@pytest.mark.parametrize(("quantity", "factor"), [("friction", 0.9), ("ramp time", 1.1), ("voltage", 0.9)])
+def test_a_change_that_takes_some_loads_into_the_other_regime_is_read(make_log, quantity, factor):
+    """lambda is not the same before and after it, and one for both logs fits neither."""
+    regime = "limited under some loads"
+    before, after = stage(regime), stage(regime, quantity, factor)
+    changes = compare(make_log, before, after, {3: ssf.physical_law}, psi="-90, -45, 0, 45, 90")
+    found = read_stage_difference(changes)
+    assert {one.quantity for one in found.credible} == {
+        "friction": FRICTION_OR_MASS,
+        "ramp time": {"ramp time"},
+        "voltage": {"voltage"},
+    }[quantity]
+    (read,) = (one for one in found.credible if one.quantity == quantity)
+    assert read.size.low < factor - 1 < read.size.high
 
 
 def test_both_logs_have_one_lambda(make_log):

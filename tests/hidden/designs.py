@@ -1,4 +1,4 @@
-"""Plans of campaigns: one small session, three as in the thesis, many in a random order."""
+"""Plans of campaigns: one small session, three as in the thesis, many in a random order, days alike."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from tests.hidden.physics import DEG, FULL, MM, Array
 
+DAYS = 8
 Ints = npt.NDArray[np.int64]
 # joint, q1, q2, q3, theta, psi, low, high in deg and mm; the moving joint's own position is not looked at.
 Setting = tuple[int, float, float, float, float, float, float, float]
@@ -107,6 +108,13 @@ def three_sessions(rng: np.random.Generator) -> Plan:
     return replace(plan, days=np.cumsum([0, *rng.integers(1, 4, 2)]), columns=("step_period_ms",))
 
 
+def days_alike(rng: np.random.Generator) -> Plan:
+    """The same traverses on each of eight days."""
+    visits = np.array((*_CALIBRATION, *_GUIDE, *_ARM))
+    session = np.repeat(np.arange(DAYS), len(visits))
+    return _both_ways(session, np.tile(visits, (DAYS, 1)), 0.004, np.ones(len(session), np.int64))
+
+
 def many_sessions(rng: np.random.Generator) -> Plan:
     """Twelve to fifteen short sessions in a random order: everything is varied and written down."""
     sessions = int(rng.integers(12, 16))
@@ -138,6 +146,7 @@ DESIGNS: dict[str, Callable[[np.random.Generator], Plan]] = {
     "session": one_session,
     "thesis": three_sessions,
     "many": many_sessions,
+    "days": days_alike,
 }
 
 

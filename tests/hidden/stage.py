@@ -23,8 +23,7 @@ from tests.hidden.slip import Bristles, coulomb_step, lugre_step
 from tests.hidden.table import write_down
 
 GRAVITY = 9.81
-DAY_TO_DAY = 0.02
-RATIOS = {"friction": (1.4, 3.0), "velocity": (0.3, 0.65), "both": (0.85, 1.15)}
+RATIOS = {"friction": (1.4, 3.0), "velocity": (0.3, 0.65), "both": (0.85, 1.15), "any": (0.6, 1.4)}
 _PIECES = 250
 _LOADS = 15  # between which the slow solver's steps are interpolated
 
@@ -35,19 +34,23 @@ class Stage:
 
     Attributes
     ----------
-    regime : {"friction", "velocity", "both"}
-        Whether the slider never reaches the foot's speed, always does, or does under some loads only.
+    regime : {"friction", "velocity", "both", "any"}
+        Whether the slider never reaches the foot's speed, always does, or does under some loads only; or any
+        of these in each joint and direction.
     bristles : Bristles or None
         LuGre's friction; Coulomb's without.
+    day_to_day : float
+        By which friction and throw scatter.
     """
 
     regime: str = "friction"
     bristles: Bristles | None = None
+    day_to_day: float = 0.02
 
     def draw(self, joint: int, session: Ints, forward: Ints, rng: np.random.Generator) -> dict[str, Array]:
         """The drive of each traverse: one for each direction, a little different from day to day."""
         usual = {way: self._usual(joint, way, rng) for way in (1, -1)}
-        days = 1 + DAY_TO_DAY * rng.standard_normal((2, 2, int(session.max()) + 1))
+        days = 1 + self.day_to_day * rng.standard_normal((2, 2, int(session.max()) + 1))
         values = {name: np.where(forward > 0, usual[1][name], usual[-1][name]) for name in usual[1]}
         for name, (back, out) in zip(("friction", "throw"), days, strict=True):
             values[name] = values[name] * np.where(forward > 0, out[session], back[session])
@@ -181,17 +184,40 @@ def make_change(change: str, acts: Acts) -> Callable[[Campaign, np.random.Genera
     return _since(acts, {"payload": "mass", "ramp-time": "ramp time"}.get(change, change))
 
 
-CHANGES: dict[str, Callable[[Campaign, np.random.Generator], Effect | None]] = {
-    change: make_change(change, acts)
-    for change, acts in {
-        "preload": QUANTITIES["friction"],
-        "friction:humidity": QUANTITIES["friction"],
-        "voltage": QUANTITIES["voltage"],
-        "payload": _heavier,
-        "ramp-time": QUANTITIES["ramp time"],
-        "wear": QUANTITIES["friction"],
-    }.items()
+ACTS: dict[str, Acts] = {
+    "preload": QUANTITIES["friction"],
+    "friction:humidity": QUANTITIES["friction"],
+    "voltage": QUANTITIES["voltage"],
+    "payload": _heavier,
+    "ramp-time": QUANTITIES["ramp time"],
+    "wear": QUANTITIES["friction"],
 }
+CHANGES: dict[str, Callable[[Campaign, np.random.Generator], Effect | None]] = {
+    change: make_change(change, acts) for change, acts in ACTS.items()
+}
+
+
+def drive_days(stage: Stage, change: str, size: float, seed: int = 0) -> Hidden:
+    """A log of days of the same traverses; in the later half of them one thing is another.
+
+    Parameters
+    ----------
+    stage : Stage
+    change : str
+        One of `ACTS`, or empty for none.
+    size : float
+        By which share.
+    seed : int
+        Settles everything.
+    """
+    campaign = make_campaign("days", "gaussian", seed, nature=stage)
+    late = (campaign.plan.session >= campaign.plan.session.max() / 2).astype(float)
+    acts = (
+        (Act(change, stage.regime, _changed(late, ACTS[change], 0.2, sized(change, "%", 100)), size),)
+        if change
+        else ()
+    )
+    return _count(campaign, acts, "days", "gaussian")
 
 
 def drive_stage(
@@ -227,6 +253,11 @@ def drive_stage(
         if effect is None:
             raise ValueError(f"the lab writes down nothing of {change} in the design {design}")
         acts = (Act(change, stage.regime, effect, size),)
+    return _count(campaign, acts, design, noise)
+
+
+def _count(campaign: Campaign, acts: tuple[Act, ...], design: str, noise: str) -> Hidden:
+    """What the lab writes down of a campaign on which something acts."""
     counts = expected(campaign, [(act.effect, act.size) for act in acts]) if acts else campaign.counts
     stops = seen(counts * np.exp(campaign.repeatability * campaign.innovations), CHECK_EVERY)
     truth = {

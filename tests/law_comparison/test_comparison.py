@@ -123,6 +123,26 @@ def test_a_log_of_three_configurations_cannot_tell_and_is_told_what_would(tmp_pa
     assert joint.experiments[0].traverses is not None
 
 
+def test_a_law_with_as_many_parameters_as_counts_is_neither_likely_nor_unlikely(tmp_path):
+    """Joint 1 calibrated once: friction-limited steps have four parameters and pass through all counts."""
+    hidden = drive_stage("session", Stage("friction"), seed=4)
+
+    def calibration(table):
+        base = table[(table["joint"] == 1) & (table["q2_deg"] == -90) & table["q3_mm"].isin([0, 12])]
+        base = base[base["theta_deg"].isin([0, -90]) & (base["psi_deg"] == 0)]
+        once = base.drop_duplicates(["q3_mm", "theta_deg", "direction"]).index
+        return table.index.isin(once)
+
+    log = read(hidden, tmp_path, calibration)
+    assert len(log.usable) == 8
+    (joint,) = compare_laws(log).joints
+    assert joint.errors.better == ""
+    for regime in joint.regimes:
+        assert regime.name == "cannot tell"
+        assert regime.ratio == (0.0, np.inf)
+    assert ssf.physical_law(1, log.usable, log.machine).ratios == (FRICTION_LIMITED, FRICTION_LIMITED)
+
+
 def test_what_experiments_expect_is_what_happens(tmp_path):
     """Friction-limited steps shrink as mass grows."""
     hidden = drive_stage("session", Stage("friction"), seed=1)

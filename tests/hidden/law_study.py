@@ -1,0 +1,105 @@
+"""The physical and the published laws on logs whose true law is known: errors, regimes, r, and what is named.
+
+``python -m tests.hidden.law_study WHAT --logs 20`` prints the rates; benchmarks/README.md quotes them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+import stickslip_fit as ssf
+from stickslip_fit.estimation import profile_ratio
+from stickslip_fit.law_comparison import compare_laws
+from stickslip_fit.law_comparison.comparison import CERTAIN, MODEL_SPREAD
+from tests.hidden.generate import Hidden, hide
+from tests.hidden.slip import Bristles
+from tests.hidden.stage import GRAVITY, Stage, drive_stage
+from tests.hidden.stage_study import SIZE, stage_cases
+
+DESIGNS = ("session", "thesis", "many")
+Found = dict[str, list[bool | float]]
+
+
+def read(hidden: Hidden) -> ssf.Log:
+    """The log as a user has it."""
+    with TemporaryDirectory() as folder:
+        hidden.write(Path(folder) / "log.csv")
+        return ssf.read_log(Path(folder) / "log.csv")
+
+
+def shares(seed: int) -> Found:
+    """Regime and r of joint 3, half of the logs with LuGre's friction."""
+    regime = ("friction", "velocity")[seed % 2]
+    bristles = Bristles((0.002, 0.005, 0.008)[seed % 3]) if seed // 2 % 2 else None
+    hidden = drive_stage(DESIGNS[seed % 3], Stage(regime, bristles), seed=seed)
+    log, found = read(hidden), {}
+    (place,) = (place for place in hidden.campaign.places if place.joint == 3)
+    for way, profile in profile_ratio(3, log.usable[log.usable["joint"] == 3], log.machine).items():
+        own = (place.forward > 0).ravel() == (way == "+")
+        _, low, high = profile.share_interval(spread=MODEL_SPREAD)
+        right = profile.friction_limited if regime == "friction" else 1 - profile.friction_limited
+        kind = f"{regime}, {'LuGre' if bristles else 'Coulomb'}"
+        truth = float(np.mean(GRAVITY / place.values["friction"][own]))
+        found.setdefault(f"{kind}: r in its interval", []).append(low < truth < high)
+        found.setdefault(f"{kind}: regime certain and right", []).append(right > CERTAIN)
+        found.setdefault(f"{kind}: regime certain and wrong", []).append(right < 1 - CERTAIN)
+    return found
+
+
+def published(seed: int) -> Found:
+    """Logs of the published law."""
+    found: Found = {}
+    for one in compare_laws(read(hide(DESIGNS[seed % 3], seed=seed))).joints:
+        for law in ("published", "physical"):
+            found.setdefault(f"joint {one.joint}: {law} preferred", []).append(one.errors.better == law)
+    return found
+
+
+def errors(seed: int) -> Found:
+    """Held-out errors over the noise of friction-limited logs."""
+    hidden = drive_stage(DESIGNS[seed % 3], Stage("friction", Bristles() if seed % 2 else None), seed=seed)
+    found: Found = {}
+    for one in compare_laws(read(hidden)).joints:
+        noise = np.sqrt(np.mean(hidden.campaign.repeatability[hidden.campaign.plan.joint == one.joint] ** 2))
+        found[f"joint {one.joint}: physical over noise"] = [one.errors.physical.rms / noise]
+        found[f"joint {one.joint}: published over noise"] = [one.errors.published.rms / noise]
+    return found
+
+
+def baseline(seed: int) -> Found:
+    """Stages diagnosed with the published law: what is named."""
+    (case,) = stage_cases(1, seed)
+    design = "many" if case.change == "friction:humidity" else "session"
+    stage = Stage(case.regime, Bristles() if case.lugre else None)
+    found = ssf.diagnose(read(drive_stage(design, stage, case.change, SIZE, seed=seed)), gain=False)
+    print(case, [one.cause for one in found.findings])
+    return {f"{name} is named": [True] for name in sorted({one.cause for one in found.findings})}
+
+
+STUDIES: dict[str, Callable[[int], Found]] = {
+    one.__name__: one for one in (shares, published, errors, baseline)
+}
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("what", choices=STUDIES)
+    parser.add_argument("--logs", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    arguments = parser.parse_args()
+    total: Found = {}
+    for number in range(arguments.first, arguments.first + arguments.logs):
+        for name, values in STUDIES[arguments.what](number).items():
+            total.setdefault(name, []).extend(values)
+        print(number, flush=True)
+    for name, values in sorted(total.items()):
+        if isinstance(values[0], bool | np.bool_):
+            print(f"{name}: {sum(values)} of {len(values)}")
+        else:
+            low, middle, high = np.quantile(values, [0.0, 0.5, 1.0])
+            print(f"{name}: median {middle:.2f}, {low:.2f} to {high:.2f}, of {len(values)}")
