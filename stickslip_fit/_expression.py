@@ -204,6 +204,9 @@ def parse_formula(text: str) -> tuple[Expression, Expression]:
     _check_length(text)
     place = _TILDE.match(text).end()  # type: ignore[union-attr]
     if text[place : place + 1] != "~":
+        equals = text.find("=")
+        if equals >= 0:
+            refuse(text, equals, "write ~ in place of =, as in F ~ a + b*x")
         refuse(text, len(text), "a ~ is missing between the response and what it follows from: F ~ a + b*x")
     left = parse_expression(text[:place], text)
     return left, parse_expression(text[place + 1 :], text, place + 1)

@@ -79,7 +79,7 @@ def test_a_move_from_a_log_and_from_a_saved_fit_agree(run, log, tmp_path):
 def test_the_tip_goes_where_it_is_sent(run, log):
     status, out, _ = run("plan-move", log, "--at", "-5,-90,0", "--tip", "55,3,-5", "--session", "2012-03-05")
     assert status == 0
-    assert "Tip at (55.000, 3.000, -5.000) mm" in out
+    assert "The tip ends at (55.000, 3.000, -5.000) mm" in out
 
 
 def test_where_says_when_to_go_back_to_a_stop(run, log):

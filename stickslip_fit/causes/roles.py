@@ -102,8 +102,8 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
     places = frame[ROW_NUMBER] if ROW_NUMBER in names else np.arange(len(frame))
     frame = frame.set_axis(pd.Index(places), axis=0)
     missing = {name: role for role, name in _columns_of(roles).items() if name not in names}
-    issues += [_explain_unknown(name, f"{role}=", names) for name, role in missing.items()]
-    issues += [_explain_unknown(name, "the law", names) for name in numbers if name not in names]
+    issues += [_explain_unknown(name, f"is named as the {role}", names) for name, role in missing.items()]
+    issues += [_explain_unknown(name, "is in the law", names) for name in numbers if name not in names]
     issues += [
         InputIssue(
             f"the law uses a column of this name, which stands for {OWN_COLUMNS[name]} here; rename it",
@@ -158,13 +158,13 @@ def _columns_of(roles: TableRoles) -> dict[str, str]:
     return {role: name for role, name in roles.columns.items() if (role, name) != ("time", ORDER)}
 
 
-def _explain_unknown(name: str, by: str, names: list[str]) -> InputIssue:
+def _explain_unknown(name: str, where: str, names: list[str]) -> InputIssue:
     similar = mistyped_column(name, names) or next(iter(get_close_matches(name, names, 1, 0.5)), "")
     hint = f"did you mean {shorten(similar)}? " if similar else ""
     names = [name for name in names if name != ROW_NUMBER]
     shown = ", ".join(map(shorten, names[:40])) + (" ..." if len(names) > 40 else "")
     return InputIssue(
-        f"{by} names it, and the table has no such column; {hint}its columns are {shown}", column=name
+        f"{where}, and the table has no such column; {hint}its columns are {shown}", column=name
     )
 
 

@@ -208,9 +208,10 @@ def _format_rms(finding: Finding, table: TableInfo) -> str:
 
 def _describe_proposal(finding: Finding, table: TableInfo) -> str:
     """What is put into the law for structure without a name, without a full stop."""
-    size = _format_rms(finding, table)
-    follows = f"{table.response} {describe_table_carrier(finding.carrier, table)} by {size} beyond the law"
-    text = f"{follows}, as no cause that was searched does"
+    text = (
+        f"What the law leaves of {table.response} {describe_table_carrier(finding.carrier, table)}, by "
+        f"{_format_rms(finding, table)}, in a way that no cause that was searched describes"
+    )
     sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in finding.parameters]
     if finding.term:
         return f"{text}; a term is proposed: {', '.join([finding.term, *sizes])}"
@@ -269,9 +270,7 @@ def _what_separates(finding: Finding, diagnosis: Diagnosis) -> str:
 
 def _describe_side_effect(finding: Finding, table: TableInfo) -> str:
     if finding.cause == UNKNOWN:
-        shape = _describe_shape(finding, table)
-        # That of a proposal begins with the name of the response.
-        return f"Besides that: {shape if finding.version is not None else lower_first(shape)}."
+        return f"Besides that: {lower_first(_describe_shape(finding, table))}."
     rivals = f"; or it is {join_words(finding.equivalent, 'or')}" if finding.equivalent else ""
     company = describe_company(finding)
     return f"Besides that: {lower_first(describe_table_effect(finding, table))}{rivals}{company}."

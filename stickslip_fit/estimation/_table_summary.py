@@ -13,6 +13,7 @@ from stickslip_fit._format import (
     format_measured,
     format_measured_range,
     format_significant,
+    join_words,
     pluralize,
     typeset_text,
 )
@@ -59,8 +60,8 @@ def describe_fit(fit: TableFit) -> str:
     if round(fit.source.independent) < rows:
         counted = f", which count as about {round(fit.source.independent):,} independent ones"
     return (
-        f"The law {law.name} leaves {left} rms of {law.response_name}{explained}: fitted to {rows:,} "
-        f"values{counted}."
+        f"The law {law.name}, fitted to {rows:,} values{counted}, leaves {left} rms of "
+        f"{law.response_name}{explained}."
     )
 
 
@@ -68,20 +69,27 @@ def parameters_table(fit: TableFit) -> Table:
     """Every parameter with its standard error and interval; session by session where it has its own."""
     table = fit.parameters
     by_session = fit.n_own > 0 and len(fit.sessions) > 1
+    has_units = bool(table["unit"].any())
     columns = (
         Column("parameter", text=True),
         *((Column("session", text=True),) if by_session else ()),
         *numbers("estimate", "standard error", "95 % interval"),
-        Column("unit", text=True),
+        *((Column("unit", text=True),) if has_units else ()),
     )
     rows = [
-        (row.name, *((row.session or ALL_SESSIONS,) if by_session else ()), *_cells(row))
+        (row.name, *((row.session or ALL_SESSIONS,) if by_session else ()), *_cells(row)[: 3 + has_units])
         for row in table.head(MAX_ROWS).itertuples(index=False)
     ]
-    note = f"The first {MAX_ROWS} of {len(table):,}." if len(table) > MAX_ROWS else ""
+    notes = [f"The first {MAX_ROWS} of {len(table):,}."] if len(table) > MAX_ROWS else []
+    smooth = {one.name.rpartition(".")[0]: None for one in fit.law.parameters if "coefficient" in one.meaning}
+    if smooth:
+        notes.append(
+            f"Of {join_words(list(smooth))}: coefficients of a smooth function, of no use one by one."
+        )
     if len(fit.autocorrelation):
-        note = f"{note} Standard errors allow for the autocorrelation of the noise.".strip()
-    return Table("Parameters of the law", columns, tuple(rows), stubs=2 if by_session else 1, note=note)
+        notes.append("Standard errors allow for the autocorrelation of the noise.")
+    stubs = 2 if by_session else 1
+    return Table("Parameters of the law", columns, tuple(rows), stubs=stubs, note=" ".join(notes))
 
 
 def _cells(row: pd.Series) -> tuple[str, ...]:

@@ -66,16 +66,16 @@ def ranking_picture(diagnosis: Diagnosis) -> Picture:
             key, title, f"It would need more {what}; see what could not have been seen."
         )
     caption = (
-        "If one cause or nothing is at work: the probability of each, on a scale of powers of ten; nothing "
-        "is as likely beforehand as all causes together. "
+        "If one cause or chance alone is at work: the probability of each, on a scale of powers of ten; an "
+        "arrow stands for less. Beforehand chance alone is as likely as all causes together. "
         + (
             f"{pluralize(len(steps), 'step')} of the selection: a cause named in one step is in the law of "
             "the next. Causes with nearly the same probability as the named one are aliased with it."
             if len(steps) > 1
-            else "No cause is much likelier than chance alone."
+            else "No cause is much likelier than chance alone." * (not diagnosis.findings)
         )
     )
-    return make_picture(key, title, caption, plot_ranking(diagnosis))
+    return make_picture(key, title, caption.rstrip(), plot_ranking(diagnosis))
 
 
 def list_selection_steps(diagnosis: Diagnosis) -> list[tuple[str, Misfit, str, tuple[str, ...]]]:
@@ -204,7 +204,9 @@ def plot_gain(diagnosis: Diagnosis) -> Figure:
     if gain is None or gain.by_session.empty:
         what = "traverse" if table is None else "row"
         raise InputError(f"there is no gain to draw: no cause was named, or no {what} could be held out")
-    recent, factor = gain.by_session.tail(MAX_SESSIONS), 100.0 if table is None else 1.0
+    sessions = diagnosis.selection.problem.rows["session"].astype(object).unique()
+    in_order = gain.by_session.set_index("session").reindex(sessions).dropna().reset_index(names="session")
+    recent, factor = in_order.tail(MAX_SESSIONS), 100.0 if table is None else 1.0
     place, crowded = np.arange(len(recent)), len(recent) > MAX_HORIZONTAL_LABELS
     before, after = (factor * recent[name].to_numpy(float) for name in ("baseline", "extended"))
     unit = "%" if table is None else table.unit

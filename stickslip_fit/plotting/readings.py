@@ -41,7 +41,7 @@ def readings_picture(log: Log) -> Picture:
     most = int(rows.groupby(["joint", "direction"], observed=True).size().max())
     few = f"; of each joint and direction {MAX_POINTS}, chosen at random" * (most > MAX_POINTS)
     order = "time" if has_times(rows) else "the log"
-    caption = f"{len(rows):,} usable traverses in order of {order}{few}. Lines part sessions."
+    caption = f"{len(rows):,} usable traverses in order of {order}{few}. Vertical lines separate sessions."
     joints = sorted(int(joint) for joint in rows["joint"].unique())
     step = traverse_length(rows) / expected_steps(rows["steps"], rows["check_every"])
     figure = _draw_in_order(log, joints, step, MAX_POINTS)

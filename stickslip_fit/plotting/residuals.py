@@ -142,11 +142,11 @@ def fold_phase(carrier: str, rows: pd.DataFrame, shape: Array) -> tuple[str, Arr
 
 
 SESSION_GAP = 0.04  # of all hours, between two sessions drawn one after the other
-CONCATENATED_HOURS = "hours, sessions in a row"
+CONCATENATED_HOURS = "hours, all sessions"
 SESSION_HOURS = "hours in session"
 OWN_STEPS = "own steps so far (millions)"
-LOAD_BEFORE = "load of the traverse before"
-REVERSED = "after a reversal (1) or not (0)"
+LOAD_BEFORE = "previous traverse's load"
+REVERSED = "0: same way, 1: reversed"
 HISTORY_LABELS = {
     "session_seconds": SESSION_HOURS,
     "steps_before": OWN_STEPS,
@@ -252,23 +252,22 @@ def finding_picture(
     before, after = (
         format_percent(float(np.sqrt(np.mean(side**2)))) for side in (comparison.before, comparison.after)
     )
-    caption = f"Over {label}, which carries it. Points: traverses; lines: means by class with 95 % bars. "
+    over = f"the {label}" if label == EFFECT_LABEL else label
+    over += ", one session after the other" * (label == CONCATENATED_HOURS)
+    caption = f"Residuals over {over}. Points: traverses; lines: means by class with 95 % bars. "
     if _is_proposal(selected):
         proposed = finding.term or f"a smooth function of {name_carriers(finding)}".rstrip(",")
         title = f"What is proposed: {proposed}"
-        caption = caption.replace(
-            f"{label}, which carries it", f"the {label}" if label == EFFECT_LABEL else label
-        )
         caption += (
-            f"Above what the law leaves without it; dashed: the {'term' if finding.term else 'function'} as "
-            "fitted, beyond what recalibration absorbs; both should agree within the bars. Below what is "
-            f"left with it ({after} rms): the lines should lie within the grey band, where noise alone would "
+            f"Above: what the law leaves without it; dashed: the {'term' if finding.term else 'function'} as "
+            "fitted, beyond what recalibration absorbs; both should agree within the bars. Below: what is "
+            f"left with it ({after} rms); the lines should lie within the grey band, where noise alone would "
             "keep them."
         )
     elif is_named:
         caption += (
-            f"Above under the law as it was ({before} rms), below with all that was found in it ({after} "
-            "rms): the lines should lie within the grey band, where noise alone would keep them."
+            f"Above: under the law as it was ({before} rms). Below: with all that was found in it ({after} "
+            "rms); the lines should lie within the grey band, where noise alone would keep them."
         )
     else:
         caption += f"{after} rms; noise alone would keep the lines within the grey band."
@@ -382,6 +381,8 @@ def residuals_overview_picture(joint: int, comparison: ResidualComparison, machi
         return make_missing_picture(key, title, "It would need a second traverse.")
     rms = format_percent(float(np.sqrt(np.mean(comparison.after[subset] ** 2))))
     before = " Dotted: the means under the law as it was." if extended else ""
+    if CONCATENATED_HOURS in _select_covariates(comparison.rows, subset, machine):
+        before += f" {CONCATENATED_HOURS.capitalize()}: one after the other, without the nights between."
     caption = (
         f"Mean residuals{' with all that was found in it' if extended else ''}, by classes "
         f"of each quantity; {rms} rms. Grey: where all means of a panel lie in 95 of 100 logs in which "
@@ -399,7 +400,7 @@ def draw_residuals_overview(joint: int, comparison: ResidualComparison, machine:
     heights = [1.15] * -(-len(columns) // N_COLUMNS)
     with report_style():
         figure, axes = make_figure(
-            heights, N_COLUMNS, legend, top=0.12, down=0.55, share_x="none", share_y="all"
+            heights, N_COLUMNS, legend, top=0.12, right=0.16, down=0.55, share_x="none", share_y="all"
         )
         largest, largest_before = 0.0, 0.0
         for axis, (label, values) in zip(axes.ravel(), columns.items(), strict=False):

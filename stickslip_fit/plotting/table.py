@@ -17,16 +17,19 @@ from matplotlib.lines import Line2D
 
 from stickslip_fit._format import format_significant, pluralize
 from stickslip_fit._typing import Array, BoolArray
+from stickslip_fit.causes.levels import LevelCause, name_levels
 from stickslip_fit.causes.roles import ORDER, ROW_NUMBER, direction_labels, direction_sign
 from stickslip_fit.diagnosis import Diagnosis, Finding, TableInfo
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.residuals import (
+    MAX_BINS,
     ResidualComparison,
     bin_residuals,
     bin_values,
     compare_residuals,
     compute_shape,
+    explained_share,
     find_carrier,
 )
 from stickslip_fit.errors import InputError, shorten
@@ -48,6 +51,9 @@ MAX_POINTS, FEW_POINTS, N_COLUMNS, MAX_PANELS = 800, 150, 4, 24
 LIMIT_QUANTILE, LIMIT_ZOOM = 0.98, 1.35
 ENVELOPE_COLOUR = "#dcdcd8"
 Z_95 = 1.96
+MIN_CARRIER_SHARE = 0.5  # of an effect's square; what no column carries so far is drawn over itself
+JITTER = 0.12  # of points of one label, whose values would lie on each other
+FITTED_EFFECT = "effect of the finding, as fitted"
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,14 +161,17 @@ def finding_pictures(diagnosis: Diagnosis, table: TableInfo) -> list[Picture]:
         if selected.misfit is None:
             continue
         label, figure = _draw_finding(diagnosis, table, finding, selected, comparison)
-        is_named = finding.version is not None
-        caption = f"Over {label}. Points: values; lines: means by class with 95 % bars. "
+        is_named, article = finding.version is not None, "the " * (label == FITTED_EFFECT)
+        caption = f"Residuals over {article}{label}. Points: values; lines: means by class with 95 % bars. "
         before, after = _size(_rms(comparison.before), table), _size(_rms(comparison.after), table)
         if is_named:
+            above = f"with all but this finding in the law, what is left of {table.response}"
+            if label != FITTED_EFFECT:
+                above = f"what the law leaves of {table.response} ({before} rms)"
             caption += (
-                f"Above what the law leaves of {table.response} ({before} rms), dashed the part that the "
-                f"finding explains; below with all that was found in the law ({after} rms): the lines should "
-                "lie within the grey band, where noise alone would keep them."
+                f"Above: {above}; dashed: the part that the finding explains. Below: with all that was found "
+                f"in the law ({after} rms); the lines should lie within the grey band, where noise alone "
+                "would keep them."
             )
         else:
             caption += f"{after} rms; noise alone would keep the lines within the grey band."
@@ -195,9 +204,13 @@ def _draw_finding(
     rows = _collect(diagnosis, table)
     linearized = diagnosis.selection.problem.linearize()
     shape = linearized.unwhiten(compute_shape(selected, linearized))
-    label, values = _find_carrier_values(rows, finding, selected, shape, comparison)
+    label, values, levels = _find_carrier_values(rows, finding, selected, shape, comparison)
+    spread = np.random.default_rng(0).uniform(-JITTER, JITTER, len(values)) if levels else 0.0
     sides = [("after", comparison.after, comparison.null_after)]
-    if selected.version is not None:
+    if label == FITTED_EFFECT:
+        # A partial residual: over its own effect one finding would be hidden by the scatter of all others.
+        sides = [("without", comparison.after + shape, comparison.null_after), ("with", *sides[0][1:])]
+    elif selected.version is not None:
         sides.insert(0, ("before", comparison.before, comparison.null_before))
     with report_style():
         entries = _entries(rows.kinds, effect=selected.version is not None)
@@ -208,38 +221,53 @@ def _draw_finding(
         for axis, (name, residual, null) in zip(axes[:, 0], sides, strict=True):
             drawn = _draw_means(axis, values, residual, null, rows.kinds)
             limit = max(limit, 1.1 * drawn)
-            if name == "before":
+            if name in ("before", "without"):
                 _draw_effect(axis, values, shape, rows.kinds)
         for axis, (name, residual, _) in zip(axes[:, 0], sides, strict=True):
-            _draw_points(axis, values, np.clip(residual, -limit, limit), rows.kinds)
+            _draw_points(axis, values + spread, np.clip(residual, -limit, limit), rows.kinds)
             axis.set_ylim(-limit, limit)
             what = f"{name}: residual" if len(sides) > 1 else "residual"
             axis.set_ylabel(_axis_label(table, what))
-        axes[-1, 0].set_xlabel(shorten(label, 60))
+        axes[-1, 0].set_xlabel(_axis_label(table, label) if label == FITTED_EFFECT else shorten(label, 60))
+        if levels:
+            axes[-1, 0].set_xticks(
+                range(len(levels)), [shorten(level, 110 // len(levels)) for level in levels]
+            )
         figure.align_ylabels(axes[:, 0])
     return label, figure
 
 
 def _find_carrier_values(
     rows: _TableRows, finding: Finding, selected: SelectedCause, shape: Array, comparison: ResidualComparison
-) -> tuple[str, Array]:
-    """The column that a finding follows: what its cause names, if that varied; else what explains it best."""
+) -> tuple[str, Array, tuple[str, ...]]:
+    """The column that a finding follows: what its cause names, if that varied; else what explains it best.
+
+    Where no column carries most of it, as of a product of two, the effect itself. Labels have the places
+    0, 1, ... and come third.
+    """
     assert selected.misfit is not None
     best = selected.misfit.best_hypothesis(selected.cause)
     if isinstance(best, AR1):
         before = np.where(best.before >= 0, comparison.after[best.before], np.nan)
-        return "the residual of the row before", before
+        return "the residual of the row before", before, ()
     named = [finding.carrier, finding.carrier.removesuffix(" by direction")]
     named += list(getattr(selected.version, "columns", ()))
     own = {rows.labels.get(name, ""): None for name in named}
     candidates = {label: rows.columns[label] for label in own if label in rows.columns} or dict(rows.columns)
-    if not candidates:
-        return "row", np.arange(len(shape), dtype=float)
+    version, levels = selected.version, tuple[str, ...]()
+    if isinstance(version, LevelCause) and len(version.levels) <= MAX_BINS:
+        levels = version.levels
+        cells = pd.Categorical(name_levels(comparison.rows[version.column]), categories=list(levels))
+        candidates = {version.column: np.where(cells.codes < 0, np.nan, cells.codes)}
     groups = np.zeros(len(shape), dtype=np.intp)
     for number, kind in enumerate(rows.kinds.values()):
         groups[kind] = number
+    if not candidates:
+        return "row", np.arange(len(shape), dtype=float), ()
     label = find_carrier(shape, candidates, groups)
-    return label, candidates[label]
+    if version is not None and explained_share(shape, candidates[label], groups) < MIN_CARRIER_SHARE:
+        return FITTED_EFFECT, shape, ()
+    return label, candidates[label], levels
 
 
 def _draw_means(

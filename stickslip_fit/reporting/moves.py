@@ -15,6 +15,7 @@ from stickslip_fit._format import (
     format_configuration,
     format_direction,
     format_plain,
+    format_significant,
     format_value,
     pluralize,
     typeset_text,
@@ -47,7 +48,7 @@ def summarize_move(arm: CalibratedArm, move: MovePlan) -> Summary:
     heads = ("from", "to", "steps", "95 % of moves need", "ends within ±")
     note = "Drive in this order: a step depends on where the other joints stand."
     table = Table("Drives", (*words("joint"), *numbers(*heads)), rows, note=note)
-    answer = f"Tip at {format_tip(move.tip)}; known within {_format_micrometres(move.tip_radius)} (95 %)."
+    answer = f"The tip ends at {format_tip(move.tip)}; known within {_format_error(move.tip_radius)} (95 %)."
     return Summary("Move", (answer, _calibration_heading(arm)), (Section(tables=(table,)),))
 
 
@@ -64,9 +65,9 @@ def summarize_pose(arm: CalibratedArm, at: PoseEstimate, tolerance: float) -> Su
     )
     columns = (*words("joint"), *numbers("stands at", "known to ±"), *words(""))
     tables = [Table("Joints (95 %)", columns, rows)]
-    answer = f"Tip at {format_tip(at.tip)}; known within {_format_micrometres(at.tip_radius)} (95 %)."
+    answer = f"Tip at {format_tip(at.tip)}; known within {_format_error(at.tip_radius)} (95 %)."
     if at.tip_radius > tolerance:
-        answer += f" That is more than {_format_micrometres(tolerance)}: go back to a stop now."
+        answer += f" That is more than {_format_error(tolerance)}: go back to a stop now."
     else:
         tables.append(_range_table(arm, at, tolerance))
     return Summary("Position", (answer, _calibration_heading(arm)), (Section(tables=tuple(tables)),))
@@ -84,8 +85,7 @@ def format_joint_value(joint: int, value: float) -> str:
 
 def format_joint_error(joint: int, error: float) -> str:
     """A joint's 95 % error in people's units."""
-    unit = "µm" if joint == PRISMATIC else "mrad"
-    return format_value(Z_95 * float(error), unit, 2)
+    return _format_error(Z_95 * float(error), "µm" if joint == PRISMATIC else "mrad")
 
 
 def _range_table(arm: CalibratedArm, at: PoseEstimate, tolerance: float) -> Table:
@@ -101,7 +101,7 @@ def _range_table(arm: CalibratedArm, at: PoseEstimate, tolerance: float) -> Tabl
         further = steps_before_recalibration(arm, at, joint, direction, tolerance)
         text = "all the way to its stop" if further is None else f"{further:,} steps, then go back to a stop"
         rows.append((f"joint {joint} {format_direction(direction)}", text))
-    caption = f"How far each may go on, within {_format_micrometres(tolerance)} (95 %)"
+    caption = f"How far each may go on, within {_format_error(tolerance)} (95 %)"
     return Table(caption, words("joint", "for"), tuple(rows))
 
 
@@ -110,8 +110,9 @@ def _calibration_heading(arm: CalibratedArm) -> str:
     return typeset_text(f"Calibration of session {arm.session}; base at theta = {theta}, psi = {psi}.")
 
 
-def _format_micrometres(value: float) -> str:
-    return format_value(value, "µm", 2)
+def _format_error(value: float, unit: str = "µm") -> str:
+    """An SI error in a unit, to three digits."""
+    return f"{format_significant(from_si(value, unit))} {unit}" if value else f"0 {unit}"
 
 
 ON_SCREEN = slice(0, 14)  # rows of a long table
@@ -138,7 +139,7 @@ def summarize_predictions(result: Result, plan: Plan, predicted: pd.DataFrame) -
             format_configuration(row, result.machine),
             f"{row['steps']:,.0f}",
             f"{row['low']:,.0f} to {row['high']:,.0f}" if pd.notna(row["low"]) else MISSING,
-            f"{row['step_size']:,.2f} {row['unit']}",
+            f"{format_significant(row['step_size'], 4)} {row['unit']}",
         )
         for _, row in pd.concat([rows, predicted], axis=1).iterrows()
     )
@@ -172,9 +173,7 @@ def _predictions_heading(plan: Plan, predicted: pd.DataFrame) -> str:
         f"session {shorten(name, 30)}" if name else NEW_SESSION for name in predicted["calibration"].unique()
     ]
     number = pluralize(len(predicted), "traverse")
-    return (
-        f"{plan.name}: counts of {number} as they will be noted, by the calibration of {', '.join(sources)}."
-    )
+    return f"{plan.name}: counts of {number}, as a log has them, by the calibration of {', '.join(sources)}."
 
 
 def _without_interval(result: Result, rows: pd.DataFrame, predicted: pd.DataFrame) -> list[str]:

@@ -181,7 +181,9 @@ def overview_table(joints: Sequence[JointStrategies]) -> Table:
             else:
                 row += [MISSING, MISSING, ""]
     rows = tuple((name, *row) for name, row in cells.items())
-    note = "Time a session. Rms of errors on held-out traverses. As good: not told from the best on this log."
+    note = (
+        "Time: for each session. Rms of errors on held-out traverses. As good: this log tells no difference."
+    )
     return Table("Strategies", tuple(columns), rows, note=note)
 
 

@@ -168,7 +168,7 @@ def test_the_picture_shows_the_proposal_and_the_answer_calls_it_no_cause(propose
     shape = finding_shape(selection, selected)
     picture = finding_picture(shown.findings[0], selected, shape, comparison, load_machine())
     assert picture.title == "What is proposed: k psi^2"
-    assert picture.caption.startswith("Over psi (°). Points: traverses")
+    assert picture.caption.startswith("Residuals over psi (°). Points: traverses")
     assert "dashed: the term as fitted" in picture.caption
     text = " ".join(str(shown).split())
     assert "it is no cause" in text

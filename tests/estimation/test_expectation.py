@@ -70,7 +70,7 @@ def test_three_sessions_are_too_few(campaign, tmp_path):
     days = ("2012-03-01", "2012-03-02", "2012-03-03")
     found = latest_control(fitted(campaign(sessions=days, settings=CALIBRATION), tmp_path))
     assert found.empty
-    assert "too few to say" in format_latest_control(found)
+    assert "takes 3 earlier ones" in format_latest_control(found)
 
 
 def test_a_surprise_is_what_a_t_test_of_one_against_all_before_finds(drifting, tmp_path):

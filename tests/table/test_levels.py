@@ -38,11 +38,28 @@ def assert_as(size: Interval, fit, name):
 def test_offsets_are_those_of_the_analysis_of_covariance():
     frame = table(1, offset=(0.0, 0.5, -0.4))
     frame["who"] = pd.Categorical(frame["who"], categories=frame["who"].unique())
-    found = sizes(ssf.diagnose_table(frame, LINE, gain=False))
+    diagnosis = ssf.diagnose_table(frame, LINE, gain=False)
+    found = sizes(diagnosis)
     fit = smf.ols("y ~ x + C(who)", frame).fit()
     assert len(found) == 2
     for level in frame["who"].cat.categories[1:]:
         assert_as(found[f"d[{level}]"], fit, f"C(who)[T.{level}]")
+    before, after = diagnosis.plot_residuals(0)
+    assert [tick.get_text() for tick in after.get_xticklabels()] == list(frame["who"].cat.categories)
+    means = smf.ols("y ~ x", frame).fit().resid.groupby(frame["who"], observed=True).mean()
+    (bars,) = before.containers
+    np.testing.assert_allclose(bars.lines[0].get_ydata(), means[frame["who"].cat.categories], atol=1e-3)
+
+
+def test_a_finding_that_no_column_carries_is_drawn_over_its_own_effect():
+    """A product of two columns: what is left without the term rises along it with slope 1."""
+    rng = np.random.default_rng(4)
+    x, z = rng.uniform(-1.0, 1.0, (2, 200))
+    frame = pd.DataFrame({"x": x, "z": z, "y": 1.0 + x + z + x * z + 0.1 * rng.standard_normal(200)})
+    without, rest = ssf.diagnose_table(frame, "y ~ a + b*x + c*z", gain=False).plot_residuals(0)
+    assert rest.get_xlabel() == "effect of the finding, as fitted"
+    slopes = [np.polyfit(*axis.containers[0].lines[0].get_data(), 1)[0] for axis in (without, rest)]
+    assert slopes == pytest.approx([1.0, 0.0], abs=0.1)
 
 
 def test_other_parameters_are_those_with_interactions():
