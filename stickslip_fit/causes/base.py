@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property, reduce
 from typing import Any, ClassVar, Literal
 
@@ -84,6 +83,10 @@ class Cause(ABC):
         Widest integration panel that resolves it along a traverse, rad or m.
     search_note : str
         What the search for it leaves out, as a sentence; empty where it leaves out nothing.
+    share_where_noise_persists : float
+        How much of it counts as larger than noise whose autocorrelation is known within an error.
+    owns_functions : bool
+        Whether a smooth function of its only column is a form of it, only more flexible.
     """
 
     name: ClassVar[str]
@@ -109,6 +112,8 @@ class Cause(ABC):
     max_trial_factor: ClassVar[float] = 10.0
     max_panel: float = np.inf
     search_note: ClassVar[str] = ""
+    share_where_noise_persists: ClassVar[float] = 1.0
+    owns_functions: ClassVar[bool] = True
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """Shapes of the effect to look for in a log, of sizes that a lab may meet.
@@ -149,6 +154,10 @@ class Cause(ABC):
             return self.sentence.format_map(quantities) or plain_description(self.phrase, parameters)
         except KeyError:
             return plain_description(self.phrase, parameters)
+
+    def readable(self, parameters: Sequence[SizedParameter]) -> tuple[SizedParameter, ...]:
+        """Its parameters in the units in which they are read most easily."""
+        return tuple(parameters)
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """What `sentence` may have in braces; a KeyError says that a size is not known."""
@@ -296,7 +305,7 @@ class Composition(StepLaw):
         self.causes = tuple(causes)
         self.joint, self.has_kinks = law.joint, law.has_kinks
         self.cause_parameters = tuple(
-            _qualify(cause, parameter) for cause in causes for parameter in cause.parameters
+            parameter.of_cause(cause.name) for cause in causes for parameter in cause.parameters
         )
         self.parameters = (*law.parameters, *self.cause_parameters)
 
@@ -427,12 +436,6 @@ class Composition(StepLaw):
     def sizes(self) -> Array:
         """A size of each of the causes' parameters that matters, shape (q,)."""
         return np.array([size for cause in self.causes for size in cause.scale], dtype=float)
-
-
-def _qualify(cause: Cause, parameter: CauseParameter) -> CauseParameter:
-    """The parameter by its full name, such as ``load-nonlinearity.k[3+]``."""
-    scope = f"{parameter.joint or ''}{parameter.direction or ''}{parameter.session or ''}"
-    return replace(parameter, name=f"{cause.name}.{parameter.name}{f'[{scope}]' if scope else ''}")
 
 
 def _split(values: Array, columns: range) -> list[Array]:

@@ -9,7 +9,6 @@ estimated and removed (`autocorrelation`).
 from __future__ import annotations
 
 import hashlib
-import re
 import time as clock
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -54,18 +53,12 @@ from stickslip_fit.laws import Law
 from stickslip_fit.logs._numbers import with_numbers
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.logs.table_file import read_table_file
+from stickslip_fit.units import time_unit_of
 
 MAX_MEAN_DIRECTIONS, ROWS_PER_MEAN_DIRECTION = 30, 12  # of candidates, while the noise is estimated
 MAX_RATIO = 1e15  # of a response to their median, beside which the others are lost in rounding
 # Of the noise, relative to the responses' standard deviation and to the largest of them; less is rounding.
 MIN_RELATIVE_SD, ROUNDING = 1e-9, 1e-13
-TIME_UNITS = {  # and endings of names, in lower case
-    "ms": {"ms", "millis", "milliseconds"},
-    "min": {"min", "mins", "minute", "minutes"},
-    "h": {"h", "hr", "hrs", "hour", "hours"},
-    "days": {"d", "day", "days"},
-    "years": {"yr", "year", "years"},
-}
 NO_TIME = "no column was named as the time; where rows stand in the order of measurement, say time='order'"
 N_REFITS = 4
 PARAMETER_LETTERS = "abcd"  # names of a formula that look like parameters
@@ -351,19 +344,7 @@ def _time_unit(law: Any, table: pd.DataFrame, time: str | None) -> str:
     if time not in table or not pd.api.types.is_numeric_dtype(table[time]):
         return "s"
     declared = (getattr(law, "units", None) or {}).get(time)
-    return str(declared) if declared else unit_of_name(str(time))
-
-
-def unit_of_name(name: str) -> str:
-    """The unit of time that a column's name ends in; seconds where it ends in none.
-
-    Examples
-    --------
-    >>> [unit_of_name(name) for name in ("t", "time_min", "t (ms)", "Time [h]", "Year", "elapsed days")]
-    ['s', 'min', 'ms', 'h', 'years', 'days']
-    """
-    ending = re.split(r"[\s_\[(/]+", name.strip(" ])").lower())[-1]
-    return next((unit for unit, names in TIME_UNITS.items() if ending in names), "s")
+    return str(declared) if declared else time_unit_of(str(time))
 
 
 def read_table(

@@ -27,6 +27,7 @@ from stickslip_fit.logs._files import find_foreign
 from stickslip_fit.logs._numbers import find_decimal_marks, read_column
 from stickslip_fit.logs._sheet import is_workbook
 from stickslip_fit.logs._table import IssueCollector
+from stickslip_fit.units import TIME_SPELLINGS
 
 MAX_BYTES = 2**29
 SAMPLE = 2000  # lines from which the layout is judged
@@ -35,8 +36,9 @@ COMMENT = "#"
 _SEPARATOR_LINE = re.compile(r"sep=([,;\t|])$", re.IGNORECASE)
 _BLANK = re.compile(r"[ \t]+")
 _LIKE_NUMBER = re.compile(r"[+-]?[.,]?\d[\d.,:/' \u00a0\u202f+\-eETZ]*([AaPp][Mm])?")
-_NAMES = "degC|degF|deg|rad|Ohm|ohm|mol|cd|Hz|Pa|bar|eV|dBm|dB|min|sec|ppm|ppb|rpm|px|cts|counts|arb|a\\.u\\."
-_ONE_UNIT = rf"[fpnuµμmckMGT]?(?:{_NAMES}|[mgsAKNJWVCFΩSTHhlL°%])(?:\^?[-+]?\d|[²³⁻¹]+)?|°C|°F|1|-"
+_NAMES = "degC|degF|deg|rad|Ohm|ohm|mol|cd|Hz|Pa|bar|eV|dBm|dB|sec|ppm|ppb|rpm|px|cts|counts|arb|a\\.u\\."
+_TIMES = "|".join(name for names in TIME_SPELLINGS.values() for name in names)
+_ONE_UNIT = rf"[fpnuµμmckMGT]?(?:{_NAMES}|{_TIMES}|[mgsAKNJWVCFΩSTHhlL°%])(?:\^?[-+]?\d|[²³⁻¹]+)?|°C|°F|1|-"
 _UNIT = re.compile(rf"[\[(]?(?:{_ONE_UNIT})(?:[*/·. ](?:{_ONE_UNIT}))*[\])]?")
 
 
