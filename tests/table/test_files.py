@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from stickslip_fit.diagnosis.table import read_table
+from stickslip_fit.diagnosis.table_rows import read_table
 from stickslip_fit.errors import InputError
 
 TABLE = pd.DataFrame({"t": [0.0, 0.5, 1.0], "force": [1.25, -2.5, 3.0], "run": ["a", "b", "c, d"]})
