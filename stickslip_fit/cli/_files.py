@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 from stickslip_fit._io import find_write_fault, follow_links, identify_file, is_stream, write_atomically
+from stickslip_fit.cli._groups import expand_groups
 from stickslip_fit.errors import InputError, InputIssue
 
 LOG_SUFFIXES = (".csv", ".parquet", ".xlsx")
@@ -82,11 +83,15 @@ def path_roles(command: Callable[..., Any]) -> dict[str, Input | Output]:
     return roles
 
 
-def check_files[**P, R](command: Callable[P, R]) -> Callable[P, R]:
-    """A command that first refuses outputs that would destroy another file; it then raises InputError."""
+def check_files[R](command: Callable[..., R]) -> Callable[..., R]:
+    """A command that first refuses outputs that would destroy another file; it then raises InputError.
+
+    Groups of options are expanded, see `_groups`.
+    """
+    command = expand_groups(command)
 
     @wraps(command)
-    def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+    def checked(*args: Any, **kwargs: Any) -> R:
         arguments = signature(command).bind(*args, **kwargs).arguments
         named = [
             NamedPath(path, role, f"--{name.replace('_', '-')}")

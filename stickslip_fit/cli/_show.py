@@ -39,26 +39,25 @@ class Display:
         Print everything.
     csv, latex : Path or None
         Folder and file for the tables.
-    sources : sequence of Path
-        Files that the command read, none of which is replaced.
     """
 
-    full: bool = False
-    csv: Path | None = None
-    latex: Path | None = None
-    sources: Sequence[Path] = ()
+    full: Full = False
+    csv: Csv = None
+    latex: Latex = None
 
 
-def show(summary: Summary, display: Display, saved: Iterable[str] = ()) -> None:
+def show(summary: Summary, display: Display, sources: Sequence[Path] = (), saved: Iterable[str] = ()) -> None:
     """Print a summary, and save its tables where that is asked for.
 
     Parameters
     ----------
+    sources : sequence of Path
+        Files that the command read, none of which is replaced.
     saved : iterable of str
         Lines that say which other files were written.
     """
     # Saved before anything is printed: the reader of the output may close it.
-    lines = [*saved, *save_tables(summary, display)]
+    lines = [*saved, *save_tables(summary, display, sources)]
     if display.full:
         text = summary.as_text(full=True)
     else:
@@ -68,7 +67,7 @@ def show(summary: Summary, display: Display, saved: Iterable[str] = ()) -> None:
     print("\n\n".join(filter(None, [text, "\n".join(lines)])))
 
 
-def save_tables(summary: Summary, display: Display) -> list[str]:
+def save_tables(summary: Summary, display: Display, sources: Sequence[Path]) -> list[str]:
     """Write the tables as asked for; a line for each kind."""
     from stickslip_fit._format import pluralize
 
@@ -76,10 +75,10 @@ def save_tables(summary: Summary, display: Display) -> list[str]:
     if display.csv is not None:
         make_folder(display.csv)
         for name, text in summary.as_csv().items():
-            write_atomically(display.csv / name, text, sources=display.sources)
+            write_atomically(display.csv / name, text, sources=sources)
         lines.append(f"{number} saved in {display.csv}")
     if display.latex is not None:
-        write_atomically(display.latex, summary.as_latex(), sources=display.sources)
+        write_atomically(display.latex, summary.as_latex(), sources=sources)
         lines.append(f"{number} saved to {display.latex}")
     return lines
 

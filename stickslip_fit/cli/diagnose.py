@@ -19,7 +19,7 @@ from stickslip_fit.cli._options import (
     Force,
     Json,
     LawNames,
-    LogPath,
+    LogSource,
     MachinePath,
     Sheet,
     Since,
@@ -35,7 +35,7 @@ from stickslip_fit.cli._options import (
     parse_table_law,
     reference_law,
 )
-from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
+from stickslip_fit.cli._show import Display, show
 from stickslip_fit.errors import InputError, InputIssue
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 
 def anova(
-    log: LogPath,
+    *,
     joint: Annotated[int | None, typer.Option(min=1, help="This joint only.")] = None,
     session: Annotated[str | None, typer.Option(help="This session only.")] = None,
     formula: Annotated[
@@ -62,20 +62,15 @@ def anova(
     kind: Annotated[
         int, typer.Option("--type", min=1, max=3, help="Formula: type of the sums of squares.")
     ] = 2,
-    machine: MachinePath = None,
-    since: Since = None,
-    until: Until = None,
-    sheet: Sheet = None,
+    source: LogSource,
     json: Json = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Analyse the variance: day, direction, normal force, position; or the terms of a formula."""
     from stickslip_fit._summary import join_summaries
     from stickslip_fit.anova import analyze_formula, analyze_variance, save_records
 
-    campaign = load_log(log, machine, since, until, sheet)
+    campaign = source.read()
     if formula is None:
         with show_progress() as progress:
             result = analyze_variance(campaign, joint=joint, session=session, progress=progress)
@@ -88,11 +83,11 @@ def anova(
     if json is not None:
         save_records(records, json)
         saved.append(f"saved to {json}")
-    show(summary, Display(full, csv, latex, log), saved)
+    show(summary, display, source.log, saved)
 
 
 def diagnose(
-    log: LogPath,
+    *,
     json: Json = None,
     report: Annotated[
         Path | None,
@@ -107,27 +102,22 @@ def diagnose(
     alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
     law: LawNames = None,
-    machine: MachinePath = None,
-    since: Since = None,
-    until: Until = None,
-    sheet: Sheet = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    source: LogSource,
+    display: Display,
 ) -> None:
     """Test the laws against a log, name the causes of a misfit, and measure what modelling them gains."""
     try:
-        campaign = load_log(log, machine, since, until, sheet)
+        campaign = source.read()
     except InputError as error:
-        raise InputError([*error.problems, *suggest_table_command(log[0], sheet)]) from None
+        raise InputError([*error.problems, *suggest_table_command(source.log[0], source.sheet)]) from None
     laws = load_laws(law, campaign.joints)
     check_savable(campaign, laws, save_law)
     result = diagnose_with_progress(campaign, alpha, seed, laws, load_causes(law))
     # Saved before anything is printed: the reader of the output may close it.
     saved = save_diagnosis_outputs(result, json, report)
     extended = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
-    following = "" if save_law else suggest_next(result, log)
-    show(result.summary(), Display(full, csv, latex, log), filter(None, [*saved, extended, following]))
+    following = "" if save_law else suggest_next(result, source.log)
+    show(result.summary(), display, source.log, filter(None, [*saved, extended, following]))
 
 
 def suggest_table_command(path: Path, sheet: str | None) -> list[InputIssue]:
@@ -165,6 +155,7 @@ def suggest_next(diagnosis: Diagnosis, log: list[Path]) -> str:
 
 
 def diagnose_table(
+    *,
     data: Annotated[
         Path,
         typer.Argument(
@@ -210,9 +201,7 @@ def diagnose_table(
     sheet: Sheet = None,
     alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Test a law of your own on any table, name the causes of a misfit, and measure what they gain.
 
@@ -250,7 +239,7 @@ def diagnose_table(
         result.extended_law(command=command_line()).save(save_law)
         saved.append(f"law ({describe_extension(result)}) saved to {save_law}")
     read = [path for path in (data, law) if isinstance(path, Path)]
-    show(result.summary(), Display(full, csv, latex, read), saved)
+    show(result.summary(), display, read, saved)
 
 
 def load_table_law(law: Path | str) -> LawsAndCauses:
@@ -284,6 +273,7 @@ class ThesisPlan(StrEnum):
 
 
 def plan(
+    *,
     source: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -332,9 +322,7 @@ def plan(
         Output(permits=("force",)),
     ] = None,
     force: Force = False,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Propose the most informative next traverses; of a plan, say which causes it could distinguish."""
     if thesis is not None or example:
@@ -365,7 +353,7 @@ def plan(
         campaign = load_log(source, machine, since, until, sheet)
         advice = advise_after_log(campaign, alpha, seed, load_laws(law, campaign.joints))
     saved = save_plan_outputs(advice, json, chart)
-    show(advice.summary, Display(full, csv, latex, source), saved)
+    show(advice.summary, display, source, saved)
 
 
 def diagnose_with_progress(

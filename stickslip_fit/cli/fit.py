@@ -16,22 +16,17 @@ from stickslip_fit.cli._options import (
     Chart,
     Json,
     LawNames,
-    LogPath,
-    MachinePath,
+    LogSource,
     Method,
-    Sheet,
-    Since,
-    Until,
     check_chart,
     check_savable,
     command_line,
     load_causes,
     load_laws,
-    load_log,
     parse_bound,
     parse_repeatabilities,
 )
-from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
+from stickslip_fit.cli._show import Display, show
 from stickslip_fit.errors import InputError, InputIssue, suggest
 
 if TYPE_CHECKING:
@@ -260,33 +255,25 @@ def _fit_bayes(log: Log, options: EstimatorOptions) -> Estimate:
 
 
 def calibrate(
-    log: LogPath,
+    *,
     law: LawNames = None,
-    machine: MachinePath = None,
-    since: Since = None,
-    until: Until = None,
-    sheet: Sheet = None,
+    source: LogSource,
     causes_from: CausesFrom = None,
     json: Json = None,
     chart: Chart = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Calibrate each session from its first few traverses."""
     options = EstimatorOptions(Method.closed_form, causes_from=causes_from)
     outputs = FitOutputs(json, chart)
-    _fit_and_show((log, machine, since, until, sheet), law, options, outputs, Display(full, csv, latex, log))
+    _fit_and_show(source, law, options, outputs, display)
 
 
 def fit(
-    log: LogPath,
+    *,
     method: Annotated[Method, typer.Option(help="Estimator.")] = Method.least_squares,
     law: LawNames = None,
-    machine: MachinePath = None,
-    since: Since = None,
-    until: Until = None,
-    sheet: Sheet = None,
+    source: LogSource,
     json: Json = None,
     chart: Chart = None,
     cause: CauseNames = None,
@@ -323,29 +310,27 @@ def fit(
         typer.Option(help="Bayes: also save the draws here, netCDF (.nc) that ArviZ reads."),
         Output(beside=(result_path,)),
     ] = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Fit the laws' parameters for each session and direction."""
     terms = (tuple(campaign_wide or ()), tuple(bound or ()), tuple(repeatability or ()))
     causes = (tuple(cause or ()), causes_from)
     options = EstimatorOptions(method, heavy_tails, profile, *terms, seed, chains, *causes)
     outputs = FitOutputs(json, chart, tree)
-    _fit_and_show((log, machine, since, until, sheet), law, options, outputs, Display(full, csv, latex, log))
+    _fit_and_show(source, law, options, outputs, display)
 
 
 def _fit_and_show(
-    source: tuple[list[Path], Path | None, str | None, str | None, str | None],
+    source: LogSource,
     law: list[Path] | None,
     options: EstimatorOptions,
     outputs: FitOutputs,
     display: Display,
 ) -> None:
     check_fit_options(options, outputs)
-    log = load_log(*source)
+    log = source.read()
     options = replace(options, laws=load_laws(law, log.joints), own_causes=load_causes(law))
     check_savable(log, options.laws, outputs.json or outputs.tree)
     estimate = estimate_laws(log, options)
     saved = save_fit_outputs(estimate, outputs)
-    show(estimate.summary, display, saved)
+    show(estimate.summary, display, source.log, saved)
