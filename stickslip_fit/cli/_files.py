@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 from stickslip_fit._io import find_write_fault, follow_links, identify_file, is_stream, write_atomically
-from stickslip_fit.cli._groups import expand_groups
 from stickslip_fit.errors import InputError, InputIssue
 
 LOG_SUFFIXES = (".csv", ".parquet", ".xlsx")
@@ -84,11 +83,7 @@ def path_roles(command: Callable[..., Any]) -> dict[str, Input | Output]:
 
 
 def check_files[R](command: Callable[..., R]) -> Callable[..., R]:
-    """A command that first refuses outputs that would destroy another file; it then raises InputError.
-
-    Groups of options are expanded, see `_groups`.
-    """
-    command = expand_groups(command)
+    """A command that first refuses outputs that would destroy another file; it then raises InputError."""
 
     @wraps(command)
     def checked(*args: Any, **kwargs: Any) -> R:

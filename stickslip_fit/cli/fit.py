@@ -136,9 +136,13 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
     """Fit a log and format the result."""
     from stickslip_fit.estimation import fit_closed_form, fit_least_squares, load_result
     from stickslip_fit.estimation.noise import Gaussian, StudentT
-    from stickslip_fit.estimation.prediction import format_latest_control, has_order, latest_control
+    from stickslip_fit.estimation.prediction import (
+        describe_excess_scatter,
+        format_latest_control,
+        has_order,
+        latest_control,
+    )
     from stickslip_fit.estimation.profile import make_comparable
-    from stickslip_fit.estimation.scatter import describe_excess_scatter
     from stickslip_fit.laws import choose_laws
 
     if options.method is Method.bayes:

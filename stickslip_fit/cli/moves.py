@@ -151,7 +151,7 @@ def accuracy_map(
     saved = []
     if chart is not None:
         from stickslip_fit.plotting._style import write_figure
-        from stickslip_fit.plotting.accuracy_map import draw_accuracy_map
+        from stickslip_fit.plotting.accuracy import draw_accuracy_map
 
         write_figure(draw_accuracy_map(accuracy), chart, "accuracy-map")
         saved.append(f"map written to {chart}")
