@@ -29,6 +29,7 @@ from stickslip_fit.causes.parameters import (
 )
 from stickslip_fit.laws import Configuration, Rows, State, StepLaw, float_column, state_at
 from stickslip_fit.laws.base import Counter
+from stickslip_fit.laws.quantities import POSE
 from stickslip_fit.machine import Machine
 
 EVERY_JOINT = (1, 2, 3)
@@ -101,7 +102,6 @@ class Cause(ABC):
     session: str = ""
     columns: ClassVar[tuple[str, ...]] = ()
     parameters: tuple[CauseParameter, ...]
-    null_values: tuple[float, ...]
     scale: tuple[float, ...]
     trial_values: ClassVar[npt.ArrayLike | None] = None
     largest_sizes: ClassVar[tuple[tuple[float, ...], ...]] = ()
@@ -114,6 +114,11 @@ class Cause(ABC):
     search_note: ClassVar[str] = ""
     share_where_noise_persists: ClassVar[float] = 1.0
     owns_functions: ClassVar[bool] = True
+
+    @cached_property
+    def null_values(self) -> tuple[float, ...]:
+        """0 of each parameter, unless a cause says otherwise."""
+        return (0.0,) * len(self.parameters)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """Shapes of the effect to look for in a log, of sizes that a lab may meet.
@@ -304,9 +309,7 @@ class Composition(StepLaw):
         self.law = law
         self.causes = tuple(causes)
         self.joint, self.has_kinks = law.joint, law.has_kinks
-        self.cause_parameters = tuple(
-            parameter.of_cause(cause.name) for cause in causes for parameter in cause.parameters
-        )
+        self.cause_parameters = tuple(p.of_cause(one.name) for one in causes for p in one.parameters)
         self.parameters = (*law.parameters, *self.cause_parameters)
 
     @cached_property
@@ -448,7 +451,6 @@ def _unload(state: State) -> State:
     return state.with_changes(override_load=zero, override_recoil=zero)
 
 
-POSE = ("q1", "q2", "q3", "theta", "psi")
 MAX_ROWS = 4096  # at once; keeps arrays small with all the positions that a worn spot needs
 
 

@@ -83,7 +83,7 @@ class GenericCause(TableCause):
         return self.base_phrase + (", oppositely in the two directions" if self.direction else "")
 
     @property
-    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
+    def null_values(self) -> tuple[float, ...]:
         """See `Cause`."""
         return (0.0,) * len(self.parameters)
 
@@ -222,7 +222,7 @@ class WarmUp(SteadyDrift):
         )
 
     @property
-    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
+    def null_values(self) -> tuple[float, ...]:
         """See `GenericCause`."""
         return (0.0, self.scale[1])
 
