@@ -290,8 +290,14 @@ class CountCause(Cause):
         """Steps added, shape (n, 1); each of `values` has shape (n, 1)."""
 
 
-class Composition(StepLaw):
-    """The step size under a published law and causes.
+MAX_ROWS = 4096  # at once; keeps arrays small with all the positions that a worn spot needs
+
+
+class ExtendedLaw(StepLaw):
+    """A published law and the causes by which a joint departs from it.
+
+    Its parameters are the law's own, then those of each cause under ``cause.parameter``, followed by the
+    joint, direction or session in brackets where it is that of one only.
 
     Parameters
     ----------
@@ -304,6 +310,8 @@ class Composition(StepLaw):
     cause_parameters : tuple of CauseParameter
         The causes' parameters, which follow the law's own: one number each for the whole campaign.
     """
+
+    name = "extended"
 
     def __init__(self, law: StepLaw, causes: Sequence[Cause]) -> None:
         self.law = law
@@ -440,29 +448,6 @@ class Composition(StepLaw):
         """A size of each of the causes' parameters that matters, shape (q,)."""
         return np.array([size for cause in self.causes for size in cause.scale], dtype=float)
 
-
-def _split(values: Array, columns: range) -> list[Array]:
-    """A cause's own values, each of shape (n, 1)."""
-    return [values[:, k, None] for k in columns]
-
-
-def _unload(state: State) -> State:
-    zero = np.zeros((len(state.position), 1))
-    return state.with_changes(override_load=zero, override_recoil=zero)
-
-
-MAX_ROWS = 4096  # at once; keeps arrays small with all the positions that a worn spot needs
-
-
-class ExtendedLaw(Composition):
-    """A published law and the causes by which a joint departs from it.
-
-    Its parameters are the law's own, then those of each cause under ``cause.parameter``, followed by the
-    joint, direction or session in brackets where it is that of one only.
-    """
-
-    name = "extended"
-
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
         """See `StepLaw.columns`; `collect_row_values` fills in some that rows may lack."""
@@ -580,6 +565,16 @@ class ExtendedLaw(Composition):
             for k in columns:
                 slopes[:, k] += self.difference(added, values, k)
         return counts + added(values), slopes
+
+
+def _split(values: Array, columns: range) -> list[Array]:
+    """A cause's own values, each of shape (n, 1)."""
+    return [values[:, k, None] for k in columns]
+
+
+def _unload(state: State) -> State:
+    zero = np.zeros((len(state.position), 1))
+    return state.with_changes(override_load=zero, override_recoil=zero)
 
 
 def extend(law: StepLaw, cause: Cause) -> ExtendedLaw:
