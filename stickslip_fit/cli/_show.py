@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +13,8 @@ from stickslip_fit._io import make_folder, write_atomically
 from stickslip_fit.cli._files import Output
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from stickslip_fit._summary import Summary
 
 Full = Annotated[bool, typer.Option("--full", help="Print all tables and remarks, not one screen.")]
@@ -65,6 +67,24 @@ def show(summary: Summary, display: Display, sources: Sequence[Path] = (), saved
         if left_out:
             lines.insert(0, name_left_out(left_out))
     print("\n\n".join(filter(None, [text, "\n".join(lines)])))
+
+
+def save_json(save: Callable[[Path], object], path: Path | None) -> list[str]:
+    """Save a result where that is asked for; a line that says where."""
+    if path is None:
+        return []
+    save(path)
+    return [f"saved to {path}"]
+
+
+def save_chart(draw: Callable[[], Figure], path: Path | None, key: str, what: str = "chart") -> list[str]:
+    """Draw a chart where that is asked for; a line that says where."""
+    if path is None:
+        return []
+    from stickslip_fit.plotting._style import write_figure
+
+    write_figure(draw(), path, key)
+    return [f"{what} written to {path}"]
 
 
 def save_tables(summary: Summary, display: Display, sources: Sequence[Path]) -> list[str]:

@@ -21,7 +21,7 @@ from stickslip_fit.cli._options import (
     load_log,
     parse_path,
 )
-from stickslip_fit.cli._show import Display, show
+from stickslip_fit.cli._show import Display, save_json, show
 from stickslip_fit.errors import InputError
 
 
@@ -58,11 +58,7 @@ def changed(
     laws = load_laws(law, before.joints)
     check_savable(before, laws, json)
     changes = detect_changes(before, after, laws=laws, alpha=alpha, command=command_line())
-    saved = []
-    if json is not None:
-        changes.save(json)
-        saved.append(f"saved to {json}")
-    show(changes.summary(), display, [old, new or old], saved)
+    show(changes.summary(), display, [old, new or old], save_json(changes.save, json))
 
 
 def compare_laws(
@@ -79,8 +75,4 @@ def compare_laws(
     campaign = load_log(log, machine, sheet=sheet)
     with show_progress() as progress:
         comparison = law_comparison.compare_laws(campaign, command=command_line(), progress=progress)
-    saved = []
-    if json is not None:
-        comparison.save(json)
-        saved.append(f"saved to {json}")
-    show(comparison.summary(), display, log, saved)
+    show(comparison.summary(), display, log, save_json(comparison.save, json))

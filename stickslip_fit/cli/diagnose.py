@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -35,7 +36,7 @@ from stickslip_fit.cli._options import (
     parse_table_law,
     reference_law,
 )
-from stickslip_fit.cli._show import Display, show
+from stickslip_fit.cli._show import Display, save_chart, save_json, show
 from stickslip_fit.errors import InputError, InputIssue
 
 if TYPE_CHECKING:
@@ -79,10 +80,7 @@ def anova(
         tables = analyze_formula(campaign, formula, joint=joint, session=session, kind=kind)
         summary = join_summaries(formula, [table.summary() for table in tables])
         records = [record for table in tables for record in table.to_json()]
-    saved = []
-    if json is not None:
-        save_records(records, json)
-        saved.append(f"saved to {json}")
+    saved = save_json(partial(save_records, records), json)
     show(summary, display, source.log, saved)
 
 
@@ -352,7 +350,9 @@ def plan(
     else:
         campaign = load_log(source, machine, since, until, sheet)
         advice = advise_after_log(campaign, alpha, seed, load_laws(law, campaign.joints))
-    saved = save_plan_outputs(advice, json, chart)
+    saved = save_json(partial(write_json, content=advice.content), json)
+    if advice.draw is not None:
+        saved += save_chart(advice.draw, chart, "separability")
     show(advice.summary, display, source, saved)
 
 
@@ -388,12 +388,9 @@ def save_extended_law(law: Result | TableFit, path: Path) -> str:
 
 def save_diagnosis_outputs(diagnosis: Diagnosis, json_path: Path | None, report: Path | None) -> list[str]:
     """Write the requested files; a line for each."""
-    saved = []
-    if json_path is not None:
-        from stickslip_fit.diagnosis import save_diagnosis
+    from stickslip_fit.diagnosis import save_diagnosis
 
-        save_diagnosis(diagnosis, json_path)
-        saved.append(f"saved to {json_path}")
+    saved = save_json(partial(save_diagnosis, diagnosis), json_path)
     if report is not None:
         from stickslip_fit.reporting.page import diagnosis_page
 
@@ -478,17 +475,3 @@ def advise_before_data(plan: Plan, truth: LawValues, machine: Machine, alpha: fl
 
     summary = summarize_plan(separability, plan.name, len(problem), len(plan.sessions))
     return PlanAdvice(summary, {"plan": plan.name} | separability_to_json(separability, SHOWN_AT), draw)
-
-
-def save_plan_outputs(advice: PlanAdvice, json_path: Path | None, chart: Path | None) -> list[str]:
-    """Write the requested files; a line for each."""
-    lines = []
-    if json_path is not None:
-        write_json(json_path, advice.content)
-        lines.append(f"saved to {json_path}")
-    if chart is not None and advice.draw is not None:
-        from stickslip_fit.plotting._style import write_figure
-
-        write_figure(advice.draw(), chart, "separability")
-        lines.append(f"chart written to {chart}")
-    return lines

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,7 +27,7 @@ from stickslip_fit.cli._options import (
     parse_bound,
     parse_repeatabilities,
 )
-from stickslip_fit.cli._show import Display, show
+from stickslip_fit.cli._show import Display, save_chart, save_json, show
 from stickslip_fit.errors import InputError, InputIssue, suggest
 
 if TYPE_CHECKING:
@@ -218,21 +219,15 @@ def select_named_causes(names: Iterable[str], log: Log, own: Iterable[Cause] = (
 
 def save_fit_outputs(estimate: Estimate, outputs: FitOutputs) -> list[str]:
     """Write the requested files; a line for each."""
-    lines = []
-    if outputs.json is not None:
-        estimate.result.save(outputs.json)
-        lines.append(f"saved to {outputs.json}")
+    lines = save_json(estimate.result.save, outputs.json)
     if outputs.tree is not None and estimate.posterior is not None:
         estimate.posterior.save(outputs.tree)
         lines.append(f"draws saved to {outputs.tree}, their result to {result_path(outputs.tree)}")
     if outputs.chart is not None:
-        from stickslip_fit.plotting._style import write_figure
         from stickslip_fit.plotting.parameters import plot_control
 
-        comparable = estimate.comparable
-        charted = comparable.fit if comparable else estimate.result
-        write_figure(plot_control(charted), outputs.chart, "control")
-        lines.append(f"control chart written to {outputs.chart}")
+        charted = estimate.comparable.fit if estimate.comparable else estimate.result
+        lines += save_chart(partial(plot_control, charted), outputs.chart, "control", "control chart")
     return lines
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,7 +28,7 @@ from stickslip_fit.cli._options import (
     parse_positions,
     parse_tip_position,
 )
-from stickslip_fit.cli._show import Display, show
+from stickslip_fit.cli._show import Display, save_chart, show
 from stickslip_fit.errors import InputError
 
 if TYPE_CHECKING:
@@ -150,10 +151,8 @@ def accuracy_map(
     accuracy = map_accuracy(arm)
     saved = []
     if chart is not None:
-        from stickslip_fit.plotting._style import write_figure
         from stickslip_fit.plotting.accuracy import draw_accuracy_map
 
-        write_figure(draw_accuracy_map(accuracy), chart, "accuracy-map")
-        saved.append(f"map written to {chart}")
+        saved = save_chart(partial(draw_accuracy_map, accuracy), chart, "accuracy-map", "map")
     summary = with_conditions(accuracy.summary(), arm.result, arm.conditions)
     show(summary, display, source.calibration, saved)

@@ -10,7 +10,7 @@ import typer
 from stickslip_fit._progress import show_progress
 from stickslip_fit.cli._files import INPUT, Output, write_template
 from stickslip_fit.cli._options import Force, check_chart, parse_path, reject_options
-from stickslip_fit.cli._show import Display, show
+from stickslip_fit.cli._show import Display, save_chart, show
 from stickslip_fit.errors import InputError
 
 
@@ -53,10 +53,5 @@ def step(
     read = read_stage(stage)
     with show_progress() as progress:
         analysis = analyse_stage(read, progress=progress)
-    saved = []
-    if chart is not None:
-        from stickslip_fit.plotting._style import write_figure
-
-        write_figure(analysis.plot_step(), chart, "step")
-        saved.append(f"step and sweeps drawn in {chart}")
+    saved = save_chart(analysis.plot_step, chart, "step")
     show(analysis.summary(), display, [stage], saved)

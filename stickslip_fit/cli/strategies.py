@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +21,7 @@ from stickslip_fit.cli._options import (
     load_causes,
     load_laws,
 )
-from stickslip_fit.cli._show import Display, show
+from stickslip_fit.cli._show import Display, save_chart, show
 from stickslip_fit.cli.fit import select_named_causes
 from stickslip_fit.errors import InputError
 
@@ -61,7 +62,6 @@ def compare(
 ) -> None:
     """Compare calibration strategies by their held-out accuracy and the minutes they take."""
     from stickslip_fit.estimation import load_result
-    from stickslip_fit.plotting._style import write_figure
     from stickslip_fit.plotting.strategies import plot_pareto
     from stickslip_fit.strategies import (
         causes_from_other_sessions,
@@ -101,9 +101,7 @@ def compare(
     saved = []
     if numbers is not None:
         saved.append(f"{len(save_comparison(comparison, numbers))} tables saved in {numbers}")
-    if chart is not None:
-        write_figure(plot_pareto(comparison), chart, "pareto")
-        saved.append(f"chart written to {chart}")
+    saved += save_chart(partial(plot_pareto, comparison), chart, "pareto")
     show(comparison.summary(), display, source.log, saved)
 
 
