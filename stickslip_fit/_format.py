@@ -333,8 +333,7 @@ def keep_units(text: str) -> str:
     return _KEPT_TOGETHER.sub(NO_BREAK_SPACE, text)
 
 
-# Units of long times: name, seconds, and from how many of it on it is used.
-_LONG_TIMES = (("years", 365.25 * 86_400.0, 2.0), ("days", 86_400.0, 3.0), ("h", 3_600.0, 2.0))
+_LONG_TIMES = {"years": 2.0, "days": 3.0, "h": 2.0}  # from how many on each is used
 
 
 def choose_time_unit(value: float, unit: str) -> tuple[str, float]:
@@ -348,7 +347,8 @@ def choose_time_unit(value: float, unit: str) -> tuple[str, float]:
     (('s', 1.0), ('h', 3600.0), ('min', 1.0))
     """
     if unit == "s":
-        for name, seconds, least in _LONG_TIMES:
+        for name, least in _LONG_TIMES.items():
+            seconds = float(UNITS[name].numerator)
             if abs(value) >= least * seconds:
                 return name, seconds
     return unit, 1.0

@@ -112,7 +112,8 @@ class Table:
         if any(column.unit for column in self.columns):
             heads.append([column.unit for column in self.columns])
         lines = [*heads, *self.rows]
-        widths, upper, first = _widths(lines), "", 0
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        upper, first = "", 0
         for group, span in self.groups:
             end = first + span
             widths[end - 1] += max(0, len(group) - sum(widths[first:end]) - len(GAP) * (span - 1))
@@ -336,10 +337,6 @@ def _aligned(lines: Sequence[Sequence[str]], widths: Sequence[int], left: Sequen
         return text.ljust(width) if flush_left else text.rjust(width)
 
     return [GAP.join(map(align, line, widths, left)).rstrip() for line in lines]
-
-
-def _widths(lines: Sequence[Sequence[str]]) -> list[int]:
-    return [max(map(len, column)) for column in zip(*lines, strict=True)]
 
 
 @cache

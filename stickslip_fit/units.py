@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from math import pi
 
@@ -60,6 +61,8 @@ _UNIT_LIST = (
     Unit("ms", 1, 1_000),
     Unit("min", 60),
     Unit("h", 3_600),
+    Unit("days", 86_400),
+    Unit("years", 31_557_600),
     Unit("steps"),
     Unit("%/h", 1, 360_000),
     Unit("%/K", 1, 100),
@@ -118,6 +121,28 @@ SUFFIXES = {
     "Hz": "Hz",
     "kHz": "kHz",
 }
+
+
+# How people write units of time other than the second, in lower case.
+TIME_SPELLINGS = {
+    "ms": {"ms", "millis", "milliseconds"},
+    "min": {"min", "mins", "minute", "minutes"},
+    "h": {"h", "hr", "hrs", "hour", "hours"},
+    "days": {"d", "day", "days"},
+    "years": {"yr", "year", "years"},
+}
+
+
+def time_unit_of(name: str) -> str:
+    """The unit of time that a column's name ends in; seconds where it ends in none.
+
+    Examples
+    --------
+    >>> [time_unit_of(name) for name in ("t", "time_min", "t (ms)", "Time [h]", "Year", "elapsed days")]
+    ['s', 'min', 'ms', 'h', 'years', 'days']
+    """
+    ending = re.split(r"[\s_\[(/]+", name.strip(" ])").lower())[-1]
+    return next((unit for unit, names in TIME_SPELLINGS.items() if ending in names), "s")
 
 
 def to_si[Number: (float, np.ndarray)](value: Number, symbol: str) -> Number:

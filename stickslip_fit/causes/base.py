@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property, reduce
 from typing import Any, ClassVar, Literal
 
@@ -31,6 +30,7 @@ from stickslip_fit.causes.parameters import (
 )
 from stickslip_fit.laws import Configuration, Rows, State, StepLaw, float_column, state_at
 from stickslip_fit.laws.base import Counter
+from stickslip_fit.laws.quantities import POSE
 from stickslip_fit.machine import Machine
 
 EVERY_JOINT = (1, 2, 3)
@@ -85,6 +85,10 @@ class Cause(ABC):
         Widest integration panel that resolves it along a traverse, rad or m.
     search_note : str
         What the search for it leaves out, as a sentence; empty where it leaves out nothing.
+    share_where_noise_persists : float
+        How much of it counts as larger than noise whose autocorrelation is known within an error.
+    owns_functions : bool
+        Whether a smooth function of its only column is a form of it, only more flexible.
     """
 
     name: ClassVar[str]
@@ -99,7 +103,6 @@ class Cause(ABC):
     session: str = ""
     columns: ClassVar[tuple[str, ...]] = ()
     parameters: tuple[CauseParameter, ...]
-    null_values: tuple[float, ...]
     scale: tuple[float, ...]
     trial_values: ClassVar[npt.ArrayLike | None] = None
     largest_sizes: ClassVar[tuple[tuple[float, ...], ...]] = ()
@@ -110,6 +113,13 @@ class Cause(ABC):
     max_trial_factor: ClassVar[float] = 10.0
     max_panel: float = np.inf
     search_note: ClassVar[str] = ""
+    share_where_noise_persists: ClassVar[float] = 1.0
+    owns_functions: ClassVar[bool] = True
+
+    @cached_property
+    def null_values(self) -> tuple[float, ...]:
+        """0 of each parameter, unless a cause says otherwise."""
+        return (0.0,) * len(self.parameters)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """Shapes of the effect to look for in a log, of sizes that a lab may meet.
@@ -150,6 +160,10 @@ class Cause(ABC):
             return self.sentence.format_map(quantities) or plain_description(self.phrase, parameters)
         except KeyError:
             return plain_description(self.phrase, parameters)
+
+    def readable(self, parameters: Sequence[SizedParameter]) -> tuple[SizedParameter, ...]:
+        """Its parameters in the units in which they are read most easily."""
+        return tuple(parameters)
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """What `sentence` may have in braces; a KeyError says that a size is not known."""
@@ -277,8 +291,14 @@ class CountCause(Cause):
         """Steps added, shape (n, 1); each of `values` has shape (n, 1)."""
 
 
-class Composition(StepLaw):
-    """The step size under a published law and causes.
+MAX_ROWS = 4096  # at once; keeps arrays small with all the positions that a worn spot needs
+
+
+class ExtendedLaw(StepLaw):
+    """A published law and the causes by which a joint departs from it.
+
+    Its parameters are the law's own, then those of each cause under ``cause.parameter``, followed by the
+    joint, direction or session in brackets where it is that of one only.
 
     Parameters
     ----------
@@ -292,12 +312,14 @@ class Composition(StepLaw):
         The causes' parameters, which follow the law's own: one number each for the whole campaign.
     """
 
+    name = "extended"
+
     def __init__(self, law: StepLaw, causes: Sequence[Cause]) -> None:
         self.law = law
         self.causes = tuple(causes)
         self.joint, self.has_kinks = law.joint, law.has_kinks
         self.cause_parameters = tuple(
-            _qualify(name, parameter)
+            parameter.of_cause(name)
             for cause, name in zip(causes, number_repeated(one.name for one in causes), strict=True)
             for parameter in cause.parameters
         )
@@ -431,36 +453,6 @@ class Composition(StepLaw):
         """A size of each of the causes' parameters that matters, shape (q,)."""
         return np.array([size for cause in self.causes for size in cause.scale], dtype=float)
 
-
-def _qualify(cause: str, parameter: CauseParameter) -> CauseParameter:
-    """The parameter by its full name, such as ``load-nonlinearity.k[3+]``."""
-    scope = f"{parameter.joint or ''}{parameter.direction or ''}{parameter.session or ''}"
-    return replace(parameter, name=f"{cause}.{parameter.name}{f'[{scope}]' if scope else ''}")
-
-
-def _split(values: Array, columns: range) -> list[Array]:
-    """A cause's own values, each of shape (n, 1)."""
-    return [values[:, k, None] for k in columns]
-
-
-def _unload(state: State) -> State:
-    zero = np.zeros((len(state.position), 1))
-    return state.with_changes(override_load=zero, override_recoil=zero)
-
-
-POSE = ("q1", "q2", "q3", "theta", "psi")
-MAX_ROWS = 4096  # at once; keeps arrays small with all the positions that a worn spot needs
-
-
-class ExtendedLaw(Composition):
-    """A published law and the causes by which a joint departs from it.
-
-    Its parameters are the law's own, then those of each cause under ``cause.parameter``, followed by the
-    joint, direction or session in brackets where it is that of one only.
-    """
-
-    name = "extended"
-
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
         """See `StepLaw.columns`; `collect_row_values` fills in some that rows may lack."""
@@ -578,6 +570,16 @@ class ExtendedLaw(Composition):
             for k in columns:
                 slopes[:, k] += self.difference(added, values, k)
         return counts + added(values), slopes
+
+
+def _split(values: Array, columns: range) -> list[Array]:
+    """A cause's own values, each of shape (n, 1)."""
+    return [values[:, k, None] for k in columns]
+
+
+def _unload(state: State) -> State:
+    zero = np.zeros((len(state.position), 1))
+    return state.with_changes(override_load=zero, override_recoil=zero)
 
 
 def extend(law: StepLaw, cause: Cause) -> ExtendedLaw:

@@ -36,8 +36,6 @@ class ColumnCause(FactorCause):
 
     mean: float = 0.0
 
-    null_values = (0.0,)
-
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bind`."""
         return replace(self, mean=float(np.nanmean(rows[self.columns[0]].to_numpy(float))))
@@ -92,11 +90,6 @@ class Temperature(ColumnCause):
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `Cause`."""
         return TEMPERATURE_PARAMETERS[: 1 + (self.form == "curved")]
-
-    @property
-    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
-        return (0.0,) * len(self.parameters)
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
@@ -184,7 +177,6 @@ class StepRate(FactorCause):
     remedy = "keeping to one step period"
     columns = ("step_period",)
     parameters = (CauseParameter("k", "%", "change of the step size per e-fold of the step period"),)
-    null_values = (0.0,)
     scale = (0.02,)
     largest_sizes = ((0.2,),)
 
@@ -233,7 +225,6 @@ class Covariate(FactorCause):
         CauseParameter(f"f{order}", "%", f"Chebyshev coefficient {order} over the column's range")
         for order in range(1, CHEBYSHEV_ORDER + 1)
     )
-    null_values = (0.0,) * CHEBYSHEV_ORDER
     combine_trials = True
     scale = (0.01,) * CHEBYSHEV_ORDER
     trial_values = 0.01 * np.eye(CHEBYSHEV_ORDER)

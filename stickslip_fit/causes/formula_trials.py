@@ -65,7 +65,7 @@ class FormulaTrials(Cause):
     order: tuple[str, ...]
     levels: tuple[Any, ...]
     parameters: tuple[CauseParameter, ...]
-    null_values: tuple[float, ...]
+    null_values: tuple[float, ...] = ()
     scale: tuple[float, ...]
     columns: tuple[str, ...]  # type: ignore[misc]
     sizes: tuple[tuple[Place, Place], ...] = ()

@@ -9,15 +9,22 @@ with a size of its own in either direction, would tell no more, and could not be
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import choose_time_unit
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.parameters import CauseParameter, Sizes, candidate_moments
+from stickslip_fit.causes.parameters import (
+    CauseParameter,
+    SizedParameter,
+    Sizes,
+    candidate_moments,
+    show_time,
+)
 from stickslip_fit.causes.roles import ONE_SESSION, direction_sign
 from stickslip_fit.causes.table_cause import Effect, TableCause
 from stickslip_fit.laws import Rows
@@ -63,7 +70,7 @@ class GenericCause(TableCause):
     # What the law lacks may be nearly all of the response, and from end to end several standard deviations.
     max_trial_factor = 10.0 / TRIAL_SHARE
     # Autocorrelation is known within an error: slow effects no larger than noise that persists may be noise.
-    share_where_noise_persists: ClassVar[float] = 0.1
+    share_where_noise_persists = 0.1
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -76,7 +83,7 @@ class GenericCause(TableCause):
         return self.base_phrase + (", oppositely in the two directions" if self.direction else "")
 
     @property
-    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
+    def null_values(self) -> tuple[float, ...]:
         """See `Cause`."""
         return (0.0,) * len(self.parameters)
 
@@ -176,6 +183,14 @@ class SteadyDrift(AddedTerm):
         """See `GenericCause`."""
         return (self.size / self.longest,)
 
+    def readable(self, parameters: Sequence[SizedParameter]) -> tuple[SizedParameter, ...]:
+        """See `Cause`: the change per hour or day, where the table is that long."""
+        name, size = choose_time_unit(self.longest, self.time_unit)
+        if size == 1.0:
+            return tuple(parameters)
+        unit = TableUnit(f"{self.unit or '1'}/{name.removesuffix('s')}")
+        return tuple(one.times(size, unit) for one in parameters)
+
     def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""
         return linear_term(np.asarray(rows["session_seconds"], float)[:, None])
@@ -207,7 +222,7 @@ class WarmUp(SteadyDrift):
         )
 
     @property
-    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
+    def null_values(self) -> tuple[float, ...]:
         """See `GenericCause`."""
         return (0.0, self.scale[1])
 
@@ -215,6 +230,10 @@ class WarmUp(SteadyDrift):
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         return (self.size, 0.2 * self.longest)
+
+    def readable(self, parameters: Sequence[SizedParameter]) -> tuple[SizedParameter, ...]:
+        """See `Cause`."""
+        return show_time(parameters, "tau", self.time_unit)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
         """See `GenericCause`."""
@@ -268,6 +287,10 @@ class SuddenChange(AddedTerm):
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         return (self.size, 1.0)
+
+    def readable(self, parameters: Sequence[SizedParameter]) -> tuple[SizedParameter, ...]:
+        """See `Cause`."""
+        return show_time(parameters, "moment", self.time_unit)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
         """See `GenericCause`."""

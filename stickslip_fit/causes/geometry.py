@@ -25,7 +25,6 @@ class AngleOffset(StateCause):
     angle: ClassVar[str]
 
     needs_geometry = True
-    null_values = (0.0,)
     scale = (radians(1.0),)
     trial_values = np.radians([[1.0], [-1.0], [4.0], [-4.0]])
     largest_sizes = ((radians(10.0),), (radians(-10.0),))
@@ -105,7 +104,6 @@ class Q1Gravity(StateCause):
     joints = (2, 3)
     parameters = (CauseParameter("k", "1", "share of the full load; 1 by physics"),)
     needs_geometry = True
-    null_values = (0.0,)
     scale = (0.5,)
     largest_sizes = ((1.0,),)
     stage = 2
@@ -142,7 +140,6 @@ class RecoilAxis(StateCause):
     joints = (3,)
     parameters = (CauseParameter("phi", "deg", "most compliant direction", -np.pi / 4, np.pi / 4),)
     needs_geometry = True
-    null_values = (0.0,)
     scale = (radians(2.0),)
     trial_values = np.radians([[2.0], [-2.0], [6.0], [-6.0], [15.0], [-15.0]])
     largest_sizes = ((radians(15.0),), (radians(-15.0),))

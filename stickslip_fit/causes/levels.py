@@ -369,6 +369,8 @@ class IntegerDependence(ColumnDependence):
 
     as_labels: LabelDependence
 
+    owns_functions = False  # the labels are its most flexible form
+
     def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
         """See `GenericCause`: a simple curve, and those of labels, as a curve that bends more is."""
         labelled = self.as_labels.trials(rows)

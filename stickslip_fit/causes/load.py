@@ -56,7 +56,6 @@ class SideLoad(FactorCause):
     needs_geometry = True
     joints = (3,)
     parameters = (CauseParameter("k", "%", "share lost to the full load across the axis"),)
-    null_values = (0.0,)
     scale = (0.02,)
     largest_sizes = ((0.2,),)
 
@@ -111,11 +110,6 @@ class LoadNonlinearity(TermCause):
         )
 
     @property
-    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
-        return (0.0,) * len(self.groups)
-
-    @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
         return (0.02,) * len(self.groups)
@@ -164,7 +158,6 @@ class LoadHysteresis(FactorCause):
     needs_geometry = True
     columns = ("before_load",)
     parameters = (CauseParameter("k", "%", "change of the step size after a traverse under full load"),)
-    null_values = (0.0,)
     scale = (0.01,)
     largest_sizes = ((0.1,),)
 
@@ -210,11 +203,6 @@ class PayloadChange(StateCause):
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
         """See `Cause`."""
         return ("session", "session_seconds") if self.session else ("payload",)
-
-    @property
-    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
-        return (0.0, 0.0) if self.session else (0.0,)
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
@@ -289,7 +277,6 @@ class InertiaQuadratic(TermCause):
     needs_geometry = True
     joints = (2,)
     parameters = (CauseParameter("k", "µrad/mm²", "bend of gamma0 with q3"),)
-    null_values = (0.0,)
     scale = (0.02,)
     largest_sizes = ((0.3,),)
 
@@ -336,7 +323,6 @@ class CableTorque(TermCause):
     joints = (1, 2)
     kind = "rotary"
     parameters = (CauseParameter("k", "µrad/deg", "change of the step size per degree"),)
-    null_values = (0.0,)
     scale = (0.01e-6 * 180 / np.pi,)
     largest_sizes = ((0.1e-6 * 180 / np.pi,),)
     varies_along_traverse = True

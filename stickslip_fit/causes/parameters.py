@@ -12,6 +12,7 @@ import pandas as pd
 
 from stickslip_fit._format import (
     capitalize_first,
+    choose_time_unit,
     format_direction,
     format_estimate,
     format_measured,
@@ -50,6 +51,11 @@ class CauseParameter(Parameter):
     sudden: bool = False
     prior_sd: float = np.inf
 
+    def of_cause(self, cause: str) -> CauseParameter:
+        """The same by its full name, such as ``load-nonlinearity.k[3+]``."""
+        scope = f"{self.joint or ''}{self.direction or ''}{self.session or ''}"
+        return replace(self, name=f"{cause}.{self.name}{f'[{scope}]' if scope else ''}")
+
 
 @dataclass(frozen=True)
 class SizedParameter:
@@ -80,6 +86,16 @@ class SizedParameter:
             sign = 1.0 if form == "+" or self.size.estimate >= 0 else -1.0
             return format_measured(self.size.times(sign), self.unit)
         return format_estimate(self.size, self.unit, signed=form == "+")
+
+
+def show_time(parameters: Sequence[SizedParameter], name: str, unit: str) -> tuple[SizedParameter, ...]:
+    """Parameters of which one is a time; it is put into the unit in which it is read most easily."""
+    shown = list(parameters)
+    for place, one in enumerate(parameters):
+        if one.name == name:
+            readable, size = choose_time_unit(one.size.estimate, unit)
+            shown[place] = one.times(1.0 / size, TableUnit(readable))
+    return tuple(shown)
 
 
 @dataclass(frozen=True)

@@ -54,11 +54,6 @@ class DirectionalCause(FactorCause):
         return tuple(replace(one, direction=each) for each in "+-" for one in self.own_parameters)
 
     @property
-    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
-        return (0.0,) * len(self.parameters)
-
-    @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
         return self.own_scale * (1 + self.by_direction)
@@ -235,7 +230,7 @@ class WornSpot(GuideProfileCause):
         return (*each, *SPOT_PLACE)
 
     @property
-    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
+    def null_values(self) -> tuple[float, ...]:
         """See `Cause`."""
         return (0.0, 0.0, *self.place) if self.place else (0.0, 6e-3, 1e-3)
 
@@ -295,7 +290,6 @@ class EndStopLatency(CountCause):
     sentence = "The end stop is heard {L} {L:late|early}"
     remedy = "taking those steps off every count"
     parameters = (CauseParameter("L", "steps", "steps counted after the stop was reached"),)
-    null_values = (0.0,)
     scale = (20.0,)
     largest_sizes = ((300.0,),)
     affects_stop_only = True
@@ -320,7 +314,6 @@ class ReversalLoss(CountCause):
     remedy = "adding those steps after each reversal"
     columns = ("before_direction",)
     parameters = (CauseParameter("L", "steps", "steps lost at a reversal"),)
-    null_values = (0.0,)
     scale = (20.0,)
     largest_sizes = ((300.0,),)
 
@@ -360,7 +353,6 @@ class EndStopMisfire(Cause):
         CauseParameter("share", "%", "of the counts", lower=0.0, upper=1.0),
         CauseParameter("size", "%", "typical departure of such a count", lower=0.0),
     )
-    null_values = (0.0, 0.0)
     scale = (0.01, 0.05)
     affects_stop_only = True
 

@@ -91,11 +91,6 @@ class AlongTravel(LinearFactor):
         )
 
     @property
-    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
-        return (0.0,) * len(self.parameters)
-
-    @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
         return tuple(TRIAL_SIZE * sd for _ in self.groups for sd in self.shape)

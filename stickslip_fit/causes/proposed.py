@@ -138,11 +138,6 @@ class SmoothTerm(LinearFactor):
         return ((None, self.common), *own) if self.common else own
 
     @property
-    def null_values(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
-        return (0.0,) * len(self.parameters)
-
-    @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
         return (SMOOTH_SCALE,) * len(self.parameters)
@@ -340,7 +335,6 @@ class ProposedTerm(LinearFactor):
     physics = "Whatever stands behind it: of all short expressions this one describes the log best."
     shows_best = "configurations in which the term is smallest and greatest"
     parameters = (CauseParameter("k", "%", "size of the proposed term"),)
-    null_values = (0.0,)
     scale = (SMOOTH_SCALE,)
 
     @property

@@ -88,7 +88,6 @@ class Drift(FactorCause):
     remedy = "recalibrating within the session"
     columns = ("session_seconds",)
     parameters = (CauseParameter("k", "%/h", "change of the step size per hour"),)
-    null_values = (0.0,)
     scale = (0.01 / SECONDS_PER_HOUR,)
     largest_sizes = ((0.1 / SECONDS_PER_HOUR,),)
 
@@ -121,7 +120,6 @@ class SessionJump(StageCause):
     shows_best = "the configurations of before the jump once more, after it"
     remedy = "calibrating anew after it"
     columns = ("session", "session_seconds")
-    null_values = (0.0, 0.0)
     scale = (0.01, 600.0)
     forms = (STEP, FRICTION, VOLTAGE, RAMP_TIME)
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator, Mapping
-from functools import cache
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import is_dataclass
+from functools import cache, update_wrapper
 from importlib import import_module
-from typing import TYPE_CHECKING, Annotated, Any
+from inspect import Parameter, Signature, signature
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 from typer.core import TyperGroup
@@ -43,9 +45,38 @@ def _load_command(name: str) -> Command:
         return get_command(module.app)
     own = typer.Typer(**APP_SETTINGS)
     own.command(name, epilog=format_example(entry.example))(
-        check_files(getattr(module, name.replace("-", "_")))
+        check_files(expand_groups(getattr(module, name.replace("-", "_"))))
     )
     return get_command(own)
+
+
+def expand_groups[R](command: Callable[..., R]) -> Callable[..., R]:
+    """The command with the fields of each group of options, a dataclass, in place of the group.
+
+    A field has the help and the default that it has in the group.
+    """
+    hints = get_type_hints(command, include_extras=True)
+    groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
+    if not groups:
+        return command
+    parameters = []
+    for name, parameter in signature(command).parameters.items():
+        own_hints = get_type_hints(groups[name], include_extras=True) if name in groups else hints
+        own = signature(groups[name]).parameters if name in groups else {name: parameter}
+        parameters += [
+            one.replace(annotation=own_hints[key], kind=Parameter.KEYWORD_ONLY) for key, one in own.items()
+        ]
+
+    def expanded(**given: Any) -> R:
+        for name, kind in groups.items():
+            given[name] = kind(**{key: given.pop(key) for key in signature(kind).parameters if key in given})
+        return command(**given)
+
+    update_wrapper(expanded, command)
+    del expanded.__wrapped__  # type: ignore[attr-defined]
+    expanded.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    expanded.__annotations__ = {one.name: one.annotation for one in parameters}
+    return expanded
 
 
 class _Commands(TyperGroup):

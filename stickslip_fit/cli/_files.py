@@ -82,11 +82,11 @@ def path_roles(command: Callable[..., Any]) -> dict[str, Input | Output]:
     return roles
 
 
-def check_files[**P, R](command: Callable[P, R]) -> Callable[P, R]:
+def check_files[R](command: Callable[..., R]) -> Callable[..., R]:
     """A command that first refuses outputs that would destroy another file; it then raises InputError."""
 
     @wraps(command)
-    def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+    def checked(*args: Any, **kwargs: Any) -> R:
         arguments = signature(command).bind(*args, **kwargs).arguments
         named = [
             NamedPath(path, role, f"--{name.replace('_', '-')}")

@@ -8,6 +8,7 @@ import re
 import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
@@ -116,6 +117,46 @@ CausesFrom = Annotated[
     ),
     INPUT,
 ]
+
+
+@dataclass(frozen=True)
+class LogSource:
+    """A campaign log, as commands name it."""
+
+    log: LogPath
+    machine: MachinePath = None
+    since: Since = None
+    until: Until = None
+    sheet: Sheet = None
+
+    def read(self) -> Log:
+        """The log."""
+        return load_log(self.log, self.machine, self.since, self.until, self.sheet)
+
+
+@dataclass(frozen=True)
+class ArmSource:
+    """One session's calibration, and how the base stands, in degrees."""
+
+    calibration: Calibration
+    session: Session = None
+    theta: Theta = 0.0
+    psi: Psi = 0.0
+    condition: Condition = None
+    law: LawNames = None
+    machine: MachinePath = None
+    sheet: Sheet = None
+
+    def load(self) -> CalibratedArm:
+        """The arm in use."""
+        from stickslip_fit.moves import calibrated_arm
+        from stickslip_fit.moves.arm import check_conditions, parse_conditions
+        from stickslip_fit.units import to_si
+
+        result = load_or_fit_result(self.calibration, self.machine, self.law, self.sheet)
+        values = parse_conditions(self.condition or (), result, "--condition")
+        check_conditions(result, values, "--condition")
+        return calibrated_arm(result, self.session, to_si(self.theta, "deg"), to_si(self.psi, "deg"), values)
 
 
 class Method(StrEnum):
@@ -348,27 +389,6 @@ def check_same_machine(result: Result, machine: Machine, path: Path) -> None:
     if result.machine.sha256 != machine.sha256:
         message = f"was fitted for the machine {result.machine.name!r}; pass that with --machine"
         raise InputError(InputIssue(message, str(path)))
-
-
-def load_arm(
-    paths: list[Path],
-    machine: Path | None,
-    session: str | None,
-    theta: float,
-    psi: float,
-    conditions: list[str] | None,
-    law: list[Path] | None = None,
-    sheet: str | None = None,
-) -> CalibratedArm:
-    """One session's calibration with the base turned by `theta` and `psi`, degrees."""
-    from stickslip_fit.moves import calibrated_arm
-    from stickslip_fit.moves.arm import check_conditions, parse_conditions
-    from stickslip_fit.units import to_si
-
-    result = load_or_fit_result(paths, machine, law, sheet)
-    values = parse_conditions(conditions or (), result, "--condition")
-    check_conditions(result, values, "--condition")
-    return calibrated_arm(result, session, to_si(theta, "deg"), to_si(psi, "deg"), values)
 
 
 def parse_plan_conditions(conditions: list[str] | None, result: Result) -> dict[str, float]:

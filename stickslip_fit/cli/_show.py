@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +13,8 @@ from stickslip_fit._io import make_folder, write_atomically
 from stickslip_fit.cli._files import Output
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from stickslip_fit._summary import Summary
 
 Full = Annotated[bool, typer.Option("--full", help="Print all tables and remarks, not one screen.")]
@@ -39,26 +41,25 @@ class Display:
         Print everything.
     csv, latex : Path or None
         Folder and file for the tables.
-    sources : sequence of Path
-        Files that the command read, none of which is replaced.
     """
 
-    full: bool = False
-    csv: Path | None = None
-    latex: Path | None = None
-    sources: Sequence[Path] = ()
+    full: Full = False
+    csv: Csv = None
+    latex: Latex = None
 
 
-def show(summary: Summary, display: Display, saved: Iterable[str] = ()) -> None:
+def show(summary: Summary, display: Display, sources: Sequence[Path] = (), saved: Iterable[str] = ()) -> None:
     """Print a summary, and save its tables where that is asked for.
 
     Parameters
     ----------
+    sources : sequence of Path
+        Files that the command read, none of which is replaced.
     saved : iterable of str
         Lines that say which other files were written.
     """
     # Saved before anything is printed: the reader of the output may close it.
-    lines = [*saved, *save_tables(summary, display)]
+    lines = [*saved, *save_tables(summary, display, sources)]
     if display.full:
         text = summary.as_text(full=True)
     else:
@@ -68,7 +69,25 @@ def show(summary: Summary, display: Display, saved: Iterable[str] = ()) -> None:
     print("\n\n".join(filter(None, [text, "\n".join(lines)])))
 
 
-def save_tables(summary: Summary, display: Display) -> list[str]:
+def save_json(save: Callable[[Path], object], path: Path | None) -> list[str]:
+    """Save a result where that is asked for; a line that says where."""
+    if path is None:
+        return []
+    save(path)
+    return [f"saved to {path}"]
+
+
+def save_chart(draw: Callable[[], Figure], path: Path | None, key: str, what: str = "chart") -> list[str]:
+    """Draw a chart where that is asked for; a line that says where."""
+    if path is None:
+        return []
+    from stickslip_fit.plotting._style import write_figure
+
+    write_figure(draw(), path, key)
+    return [f"{what} written to {path}"]
+
+
+def save_tables(summary: Summary, display: Display, sources: Sequence[Path]) -> list[str]:
     """Write the tables as asked for; a line for each kind."""
     from stickslip_fit._format import pluralize
 
@@ -76,10 +95,10 @@ def save_tables(summary: Summary, display: Display) -> list[str]:
     if display.csv is not None:
         make_folder(display.csv)
         for name, text in summary.as_csv().items():
-            write_atomically(display.csv / name, text, sources=display.sources)
+            write_atomically(display.csv / name, text, sources=sources)
         lines.append(f"{number} saved in {display.csv}")
     if display.latex is not None:
-        write_atomically(display.latex, summary.as_latex(), sources=display.sources)
+        write_atomically(display.latex, summary.as_latex(), sources=sources)
         lines.append(f"{number} saved to {display.latex}")
     return lines
 

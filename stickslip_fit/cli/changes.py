@@ -21,11 +21,12 @@ from stickslip_fit.cli._options import (
     load_log,
     parse_path,
 )
-from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
+from stickslip_fit.cli._show import Display, save_json, show
 from stickslip_fit.errors import InputError
 
 
 def changed(
+    *,
     old: Annotated[
         Path,
         typer.Argument(
@@ -45,9 +46,7 @@ def changed(
     machine: MachinePath = None,
     sheet: Sheet = None,
     json: Json = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Test whether an actuator has changed from one log to another, beyond its scatter from day to day."""
     from stickslip_fit.changes import detect_changes
@@ -59,21 +58,16 @@ def changed(
     laws = load_laws(law, before.joints)
     check_savable(before, laws, json)
     changes = detect_changes(before, after, laws=laws, alpha=alpha, command=command_line())
-    saved = []
-    if json is not None:
-        changes.save(json)
-        saved.append(f"saved to {json}")
-    show(changes.summary(), Display(full, csv, latex, [old, new or old]), saved)
+    show(changes.summary(), display, [old, new or old], save_json(changes.save, json))
 
 
 def compare_laws(
+    *,
     log: LogPath,
     machine: MachinePath = None,
     sheet: Sheet = None,
     json: Json = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Compare the published laws with the physical ones: held-out errors, regime, and what would tell."""
     from stickslip_fit import law_comparison
@@ -81,8 +75,4 @@ def compare_laws(
     campaign = load_log(log, machine, sheet=sheet)
     with show_progress() as progress:
         comparison = law_comparison.compare_laws(campaign, command=command_line(), progress=progress)
-    saved = []
-    if json is not None:
-        comparison.save(json)
-        saved.append(f"saved to {json}")
-    show(comparison.summary(), Display(full, csv, latex, log), saved)
+    show(comparison.summary(), display, log, save_json(comparison.save, json))

@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,7 +20,7 @@ from stickslip_fit.cli._options import (
     Force,
     Json,
     LawNames,
-    LogPath,
+    LogSource,
     MachinePath,
     Sheet,
     Since,
@@ -35,7 +36,7 @@ from stickslip_fit.cli._options import (
     parse_table_law,
     reference_law,
 )
-from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
+from stickslip_fit.cli._show import Display, save_chart, save_json, show
 from stickslip_fit.errors import InputError, InputIssue
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
 
 
 def anova(
-    log: LogPath,
+    *,
     joint: Annotated[int | None, typer.Option(min=1, help="This joint only.")] = None,
     session: Annotated[str | None, typer.Option(help="This session only.")] = None,
     formula: Annotated[
@@ -62,20 +63,15 @@ def anova(
     kind: Annotated[
         int, typer.Option("--type", min=1, max=3, help="Formula: type of the sums of squares.")
     ] = 2,
-    machine: MachinePath = None,
-    since: Since = None,
-    until: Until = None,
-    sheet: Sheet = None,
+    source: LogSource,
     json: Json = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Analyse the variance: day, direction, normal force, position; or the terms of a formula."""
     from stickslip_fit._summary import join_summaries
     from stickslip_fit.anova import analyze_formula, analyze_variance, save_records
 
-    campaign = load_log(log, machine, since, until, sheet)
+    campaign = source.read()
     if formula is None:
         with show_progress() as progress:
             result = analyze_variance(campaign, joint=joint, session=session, progress=progress)
@@ -84,15 +80,12 @@ def anova(
         tables = analyze_formula(campaign, formula, joint=joint, session=session, kind=kind)
         summary = join_summaries(formula, [table.summary() for table in tables])
         records = [record for table in tables for record in table.to_json()]
-    saved = []
-    if json is not None:
-        save_records(records, json)
-        saved.append(f"saved to {json}")
-    show(summary, Display(full, csv, latex, log), saved)
+    saved = save_json(partial(save_records, records), json)
+    show(summary, display, source.log, saved)
 
 
 def diagnose(
-    log: LogPath,
+    *,
     json: Json = None,
     report: Annotated[
         Path | None,
@@ -107,27 +100,22 @@ def diagnose(
     alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
     law: LawNames = None,
-    machine: MachinePath = None,
-    since: Since = None,
-    until: Until = None,
-    sheet: Sheet = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    source: LogSource,
+    display: Display,
 ) -> None:
     """Test the laws against a log, name the causes of a misfit, and measure what modelling them gains."""
     try:
-        campaign = load_log(log, machine, since, until, sheet)
+        campaign = source.read()
     except InputError as error:
-        raise InputError([*error.problems, *suggest_table_command(log[0], sheet)]) from None
+        raise InputError([*error.problems, *suggest_table_command(source.log[0], source.sheet)]) from None
     laws = load_laws(law, campaign.joints)
     check_savable(campaign, laws, save_law)
     result = diagnose_with_progress(campaign, alpha, seed, laws, load_causes(law))
     # Saved before anything is printed: the reader of the output may close it.
     saved = save_diagnosis_outputs(result, json, report)
     extended = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
-    following = "" if save_law else suggest_next(result, log)
-    show(result.summary(), Display(full, csv, latex, log), filter(None, [*saved, extended, following]))
+    following = "" if save_law else suggest_next(result, source.log)
+    show(result.summary(), display, source.log, filter(None, [*saved, extended, following]))
 
 
 def suggest_table_command(path: Path, sheet: str | None) -> list[InputIssue]:
@@ -165,6 +153,7 @@ def suggest_next(diagnosis: Diagnosis, log: list[Path]) -> str:
 
 
 def diagnose_table(
+    *,
     data: Annotated[
         Path,
         typer.Argument(
@@ -210,9 +199,7 @@ def diagnose_table(
     sheet: Sheet = None,
     alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Test a law of your own on any table, name the causes of a misfit, and measure what they gain.
 
@@ -250,7 +237,7 @@ def diagnose_table(
         result.extended_law(command=command_line()).save(save_law)
         saved.append(f"law ({describe_extension(result)}) saved to {save_law}")
     read = [path for path in (data, law) if isinstance(path, Path)]
-    show(result.summary(), Display(full, csv, latex, read), saved)
+    show(result.summary(), display, read, saved)
 
 
 def load_table_law(law: Path | str) -> LawsAndCauses:
@@ -284,6 +271,7 @@ class ThesisPlan(StrEnum):
 
 
 def plan(
+    *,
     source: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -332,9 +320,7 @@ def plan(
         Output(permits=("force",)),
     ] = None,
     force: Force = False,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Propose the most informative next traverses; of a plan, say which causes it could distinguish."""
     if thesis is not None or example:
@@ -364,8 +350,10 @@ def plan(
     else:
         campaign = load_log(source, machine, since, until, sheet)
         advice = advise_after_log(campaign, alpha, seed, load_laws(law, campaign.joints))
-    saved = save_plan_outputs(advice, json, chart)
-    show(advice.summary, Display(full, csv, latex, source), saved)
+    saved = save_json(partial(write_json, content=advice.content), json)
+    if advice.draw is not None:
+        saved += save_chart(advice.draw, chart, "separability")
+    show(advice.summary, display, source, saved)
 
 
 def diagnose_with_progress(
@@ -400,12 +388,9 @@ def save_extended_law(law: Result | TableFit, path: Path) -> str:
 
 def save_diagnosis_outputs(diagnosis: Diagnosis, json_path: Path | None, report: Path | None) -> list[str]:
     """Write the requested files; a line for each."""
-    saved = []
-    if json_path is not None:
-        from stickslip_fit.diagnosis import save_diagnosis
+    from stickslip_fit.diagnosis import save_diagnosis
 
-        save_diagnosis(diagnosis, json_path)
-        saved.append(f"saved to {json_path}")
+    saved = save_json(partial(save_diagnosis, diagnosis), json_path)
     if report is not None:
         from stickslip_fit.reporting.page import diagnosis_page
 
@@ -490,17 +475,3 @@ def advise_before_data(plan: Plan, truth: LawValues, machine: Machine, alpha: fl
 
     summary = summarize_plan(separability, plan.name, len(problem), len(plan.sessions))
     return PlanAdvice(summary, {"plan": plan.name} | separability_to_json(separability, SHOWN_AT), draw)
-
-
-def save_plan_outputs(advice: PlanAdvice, json_path: Path | None, chart: Path | None) -> list[str]:
-    """Write the requested files; a line for each."""
-    lines = []
-    if json_path is not None:
-        write_json(json_path, advice.content)
-        lines.append(f"saved to {json_path}")
-    if chart is not None and advice.draw is not None:
-        from stickslip_fit.plotting._style import write_figure
-
-        write_figure(advice.draw(), chart, "separability")
-        lines.append(f"chart written to {chart}")
-    return lines

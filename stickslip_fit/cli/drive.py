@@ -10,19 +10,11 @@ import typer
 
 from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
-    Calibration,
-    Condition,
+    ArmSource,
     Device,
     Dialect,
     DialectOption,
-    LawNames,
-    MachinePath,
     Port,
-    Psi,
-    Session,
-    Sheet,
-    Theta,
-    load_arm,
     parse_positions,
     reject_options,
     require_option,
@@ -39,7 +31,7 @@ class InputKind(StrEnum):
 
 
 def drive(
-    calibration: Calibration,
+    *,
     at: Annotated[
         str | None,
         typer.Option("--at", metavar="Q1,Q2,Q3", help="Where the joints stand: deg,deg,mm; best at stops."),
@@ -89,13 +81,7 @@ def drive(
         INPUT,
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Emulated: of the true laws and the noise.")] = 0,
-    session: Session = None,
-    theta: Theta = 0.0,
-    psi: Psi = 0.0,
-    condition: Condition = None,
-    law: LawNames = None,
-    machine: MachinePath = None,
-    sheet: Sheet = None,
+    source: ArmSource,
 ) -> None:
     """Drive the tip by hand: a velocity becomes steps, with where the tip is and how surely."""
     from stickslip_fit.drive.session import DriveJob, drive_real
@@ -110,7 +96,7 @@ def drive(
         require_option(journal, "--journal, the one to go on with")
     elif at is None:
         raise InputError("give --at Q1,Q2,Q3, where the joints stand (deg,deg,mm); or --resume")
-    arm = load_arm(calibration, machine, session, theta, psi, condition, law, sheet)
+    arm = source.load()
     start = None if at is None else parse_positions(at, "--at")
     job = DriveJob(
         arm=arm,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,22 +17,17 @@ from stickslip_fit.cli._options import (
     Chart,
     Json,
     LawNames,
-    LogPath,
-    MachinePath,
+    LogSource,
     Method,
-    Sheet,
-    Since,
-    Until,
     check_chart,
     check_savable,
     command_line,
     load_causes,
     load_laws,
-    load_log,
     parse_bound,
     parse_repeatabilities,
 )
-from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
+from stickslip_fit.cli._show import Display, save_chart, save_json, show
 from stickslip_fit.errors import InputError, InputIssue, suggest
 
 if TYPE_CHECKING:
@@ -141,9 +137,13 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
     """Fit a log and format the result."""
     from stickslip_fit.estimation import fit_closed_form, fit_least_squares, load_result
     from stickslip_fit.estimation.noise import Gaussian, StudentT
-    from stickslip_fit.estimation.prediction import format_latest_control, has_order, latest_control
+    from stickslip_fit.estimation.prediction import (
+        describe_excess_scatter,
+        format_latest_control,
+        has_order,
+        latest_control,
+    )
     from stickslip_fit.estimation.profile import make_comparable
-    from stickslip_fit.estimation.scatter import describe_excess_scatter
     from stickslip_fit.laws import choose_laws
 
     if options.method is Method.bayes:
@@ -219,21 +219,15 @@ def select_named_causes(names: Iterable[str], log: Log, own: Iterable[Cause] = (
 
 def save_fit_outputs(estimate: Estimate, outputs: FitOutputs) -> list[str]:
     """Write the requested files; a line for each."""
-    lines = []
-    if outputs.json is not None:
-        estimate.result.save(outputs.json)
-        lines.append(f"saved to {outputs.json}")
+    lines = save_json(estimate.result.save, outputs.json)
     if outputs.tree is not None and estimate.posterior is not None:
         estimate.posterior.save(outputs.tree)
         lines.append(f"draws saved to {outputs.tree}, their result to {result_path(outputs.tree)}")
     if outputs.chart is not None:
-        from stickslip_fit.plotting._style import write_figure
         from stickslip_fit.plotting.parameters import plot_control
 
-        comparable = estimate.comparable
-        charted = comparable.fit if comparable else estimate.result
-        write_figure(plot_control(charted), outputs.chart, "control")
-        lines.append(f"control chart written to {outputs.chart}")
+        charted = estimate.comparable.fit if estimate.comparable else estimate.result
+        lines += save_chart(partial(plot_control, charted), outputs.chart, "control", "control chart")
     return lines
 
 
@@ -260,33 +254,25 @@ def _fit_bayes(log: Log, options: EstimatorOptions) -> Estimate:
 
 
 def calibrate(
-    log: LogPath,
+    *,
     law: LawNames = None,
-    machine: MachinePath = None,
-    since: Since = None,
-    until: Until = None,
-    sheet: Sheet = None,
+    source: LogSource,
     causes_from: CausesFrom = None,
     json: Json = None,
     chart: Chart = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Calibrate each session from its first few traverses."""
     options = EstimatorOptions(Method.closed_form, causes_from=causes_from)
     outputs = FitOutputs(json, chart)
-    _fit_and_show((log, machine, since, until, sheet), law, options, outputs, Display(full, csv, latex, log))
+    _fit_and_show(source, law, options, outputs, display)
 
 
 def fit(
-    log: LogPath,
+    *,
     method: Annotated[Method, typer.Option(help="Estimator.")] = Method.least_squares,
     law: LawNames = None,
-    machine: MachinePath = None,
-    since: Since = None,
-    until: Until = None,
-    sheet: Sheet = None,
+    source: LogSource,
     json: Json = None,
     chart: Chart = None,
     cause: CauseNames = None,
@@ -323,29 +309,27 @@ def fit(
         typer.Option(help="Bayes: also save the draws here, netCDF (.nc) that ArviZ reads."),
         Output(beside=(result_path,)),
     ] = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Fit the laws' parameters for each session and direction."""
     terms = (tuple(campaign_wide or ()), tuple(bound or ()), tuple(repeatability or ()))
     causes = (tuple(cause or ()), causes_from)
     options = EstimatorOptions(method, heavy_tails, profile, *terms, seed, chains, *causes)
     outputs = FitOutputs(json, chart, tree)
-    _fit_and_show((log, machine, since, until, sheet), law, options, outputs, Display(full, csv, latex, log))
+    _fit_and_show(source, law, options, outputs, display)
 
 
 def _fit_and_show(
-    source: tuple[list[Path], Path | None, str | None, str | None, str | None],
+    source: LogSource,
     law: list[Path] | None,
     options: EstimatorOptions,
     outputs: FitOutputs,
     display: Display,
 ) -> None:
     check_fit_options(options, outputs)
-    log = load_log(*source)
+    log = source.read()
     options = replace(options, laws=load_laws(law, log.joints), own_causes=load_causes(law))
     check_savable(log, options.laws, outputs.json or outputs.tree)
     estimate = estimate_laws(log, options)
     saved = save_fit_outputs(estimate, outputs)
-    show(estimate.summary, display, saved)
+    show(estimate.summary, display, source.log, saved)

@@ -15,39 +15,28 @@ from stickslip_fit.cli._options import (
     CauseNames,
     Force,
     LawNames,
-    LogPath,
+    LogSource,
     MachinePath,
     PlanPath,
-    Sheet,
-    Since,
-    Until,
     command_line,
     default_output,
     load_causes,
     load_law_values,
     load_laws,
-    load_log,
 )
-from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
+from stickslip_fit.cli._show import Display, show
 from stickslip_fit.cli.fit import select_named_causes
 
 
 def check(
-    log: LogPath,
-    machine: MachinePath = None,
-    since: Since = None,
-    until: Until = None,
-    sheet: Sheet = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    *,
+    source: LogSource,
+    display: Display,
 ) -> None:
     """Check a log for faults and summarize it."""
-    summary = load_log(log, machine, since, until, sheet).summary()
-    following = (
-        f"What is wrong with it, if anything: {shlex.join(['stickslip-fit', 'diagnose', *map(str, log)])}"
-    )
-    show(summary, Display(full, csv, latex, log), [following])
+    command = shlex.join(["stickslip-fit", "diagnose", *map(str, source.log)])
+    following = f"What is wrong with it, if anything: {command}"
+    show(source.read().summary(), display, source.log, [following])
 
 
 def simulate(
@@ -124,7 +113,7 @@ def sheet(
 
 
 def report(
-    log: LogPath,
+    *,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="HTML file to write."), Output()
     ] = None,
@@ -133,16 +122,13 @@ def report(
     figures: Annotated[bool, typer.Option("--figures", help="With further figures, folded.")] = False,
     cause: CauseNames = None,
     law: LawNames = None,
-    machine: MachinePath = None,
-    since: Since = None,
-    until: Until = None,
-    sheet: Sheet = None,
+    source: LogSource,
 ) -> None:
     """Write the whole report of a log: one HTML page."""
     from stickslip_fit.reporting import report as make_report
 
-    wanted = output or default_output(log)
-    campaign = load_log(log, machine, since, until, sheet)
+    wanted = output or default_output(source.log)
+    campaign = source.read()
     causes, laws = (
         select_named_causes(cause or (), campaign, load_causes(law)),
         load_laws(law, campaign.joints),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,18 +11,16 @@ import typer
 
 from stickslip_fit.cli._files import Output
 from stickslip_fit.cli._options import (
+    ArmSource,
     At,
     Calibration,
     Condition,
     LawNames,
     MachinePath,
     PlanPath,
-    Psi,
     Session,
     Sheet,
-    Theta,
     check_chart,
-    load_arm,
     load_fit,
     parse_drive,
     parse_joint_order,
@@ -29,7 +28,7 @@ from stickslip_fit.cli._options import (
     parse_positions,
     parse_tip_position,
 )
-from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
+from stickslip_fit.cli._show import Display, save_chart, show
 from stickslip_fit.errors import InputError
 
 if TYPE_CHECKING:
@@ -44,6 +43,7 @@ MapChart = Annotated[
 
 
 def predict(
+    *,
     calibration: Calibration,
     plan: PlanPath,
     output: Annotated[
@@ -54,9 +54,7 @@ def predict(
     law: LawNames = None,
     machine: MachinePath = None,
     sheet: Sheet = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Predict the counts of a plan's traverses, with 95 % intervals."""
     from stickslip_fit._io import write_atomically
@@ -72,11 +70,11 @@ def predict(
         write_atomically(output, predictions_csv(planned, predicted))
     summary = with_conditions(summarize_predictions(result, planned, predicted), result, conditions)
     saved = [f"all {len(predicted):,} written to {output}"] if output is not None else []
-    show(summary, Display(full, csv, latex, [*calibration, plan]), saved)
+    show(summary, display, [*calibration, plan], saved)
 
 
 def plan_move(
-    calibration: Calibration,
+    *,
     at: At,
     tip: Annotated[
         str | None, typer.Option(metavar="X,Y,Z", help="Tip position to reach, base frame, mm.")
@@ -85,23 +83,15 @@ def plan_move(
         str | None, typer.Option(metavar="Q1,Q2,Q3", help="Or the joint positions to reach: deg,deg,mm.")
     ] = None,
     order: Annotated[str, typer.Option(help="Order in which the joints move.")] = "1,2,3",
-    session: Session = None,
-    theta: Theta = 0.0,
-    psi: Psi = 0.0,
-    condition: Condition = None,
-    law: LawNames = None,
-    machine: MachinePath = None,
-    sheet: Sheet = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    source: ArmSource,
+    display: Display,
 ) -> None:
     """Compute the steps that take the tip to a position, or the joints."""
     from stickslip_fit import moves
     from stickslip_fit.machine import nearest_solution
     from stickslip_fit.reporting.moves import summarize_move
 
-    arm = load_arm(calibration, machine, session, theta, psi, condition, law, sheet)
+    arm = source.load()
     start = parse_positions(at, "--at")
     if (tip is None) == (joints is None):
         raise InputError("say where to go: either --tip X,Y,Z (mm) or --joints Q1,Q2,Q3 (deg,deg,mm)")
@@ -111,11 +101,11 @@ def plan_move(
         target = parse_positions(str(joints), "--joints")
     move = moves.plan_move(arm, start, target, parse_joint_order(order, "--order"))
     summary = with_conditions(summarize_move(arm, move), arm.result, arm.conditions)
-    show(summary, Display(full, csv, latex, calibration))
+    show(summary, display, source.calibration)
 
 
 def dead_reckon(
-    calibration: Calibration,
+    *,
     at: At,
     drive: Annotated[
         list[str], typer.Option(metavar="JOINT±STEPS", help="A drive, e.g. 3+5000 or 2-1200; repeatable.")
@@ -123,27 +113,19 @@ def dead_reckon(
     tolerance: Annotated[
         float, typer.Option(help="Uncertainty of the tip, µm (95 %), at which to re-home.")
     ] = 10.0,
-    session: Session = None,
-    theta: Theta = 0.0,
-    psi: Psi = 0.0,
-    condition: Condition = None,
-    law: LawNames = None,
-    machine: MachinePath = None,
-    sheet: Sheet = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    source: ArmSource,
+    display: Display,
 ) -> None:
     """Compute where the tip is after a run of drives, how accurately, and when to re-home."""
     from stickslip_fit import moves
     from stickslip_fit.reporting.moves import summarize_pose
     from stickslip_fit.units import to_si
 
-    arm = load_arm(calibration, machine, session, theta, psi, condition, law, sheet)
+    arm = source.load()
     drives = [parse_drive(text, "--drive") for text in drive]
     pose = moves.dead_reckon(arm, parse_positions(at, "--at"), drives)
     summary = with_conditions(summarize_pose(arm, pose, to_si(tolerance, "µm")), arm.result, arm.conditions)
-    show(summary, Display(full, csv, latex, calibration))
+    show(summary, display, source.calibration)
 
 
 def with_conditions(summary: Summary, result: Result, conditions: Mapping[str, float]) -> Summary:
@@ -156,31 +138,21 @@ def with_conditions(summary: Summary, result: Result, conditions: Mapping[str, f
 
 
 def accuracy_map(
-    calibration: Calibration,
-    session: Session = None,
-    theta: Theta = 0.0,
-    psi: Psi = 0.0,
-    condition: Condition = None,
-    law: LawNames = None,
-    machine: MachinePath = None,
-    sheet: Sheet = None,
+    *,
+    source: ArmSource,
     chart: MapChart = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Compute how far from its goal a move may end, over the workspace."""
     from stickslip_fit.moves import map_accuracy
 
     check_chart(chart)
-    arm = load_arm(calibration, machine, session, theta, psi, condition, law, sheet)
+    arm = source.load()
     accuracy = map_accuracy(arm)
     saved = []
     if chart is not None:
-        from stickslip_fit.plotting._style import write_figure
-        from stickslip_fit.plotting.accuracy_map import draw_accuracy_map
+        from stickslip_fit.plotting.accuracy import draw_accuracy_map
 
-        write_figure(draw_accuracy_map(accuracy), chart, "accuracy-map")
-        saved.append(f"map written to {chart}")
+        saved = save_chart(partial(draw_accuracy_map, accuracy), chart, "accuracy-map", "map")
     summary = with_conditions(accuracy.summary(), arm.result, arm.conditions)
-    show(summary, Display(full, csv, latex, calibration), saved)
+    show(summary, display, source.calibration, saved)

@@ -10,11 +10,12 @@ import typer
 from stickslip_fit._progress import show_progress
 from stickslip_fit.cli._files import INPUT, Output, write_template
 from stickslip_fit.cli._options import Force, check_chart, parse_path, reject_options
-from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
+from stickslip_fit.cli._show import Display, save_chart, show
 from stickslip_fit.errors import InputError
 
 
 def step(
+    *,
     stage: Annotated[
         Path | None,
         typer.Argument(metavar="[STAGE]", parser=parse_path, help="Stage file: slider, contact, drive."),
@@ -34,13 +35,12 @@ def step(
         Output(permits=("force",)),
     ] = None,
     force: Force = False,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Compute a stage's step from its physics, and what the step depends on."""
     if example:
-        reject_options({"STAGE": stage, "--chart": chart, "--csv": csv, "--latex": latex}, "with --example")
+        given = {"STAGE": stage, "--chart": chart, "--csv": display.csv, "--latex": display.latex}
+        reject_options(given, "with --example")
         write_template("stage_example.toml", output, "stage file")
         return
     if stage is None:
@@ -53,10 +53,5 @@ def step(
     read = read_stage(stage)
     with show_progress() as progress:
         analysis = analyse_stage(read, progress=progress)
-    saved = []
-    if chart is not None:
-        from stickslip_fit.plotting._style import write_figure
-
-        write_figure(analysis.plot_step(), chart, "step")
-        saved.append(f"step and sweeps drawn in {chart}")
-    show(analysis.summary(), Display(full, csv, latex, [stage]), saved)
+    saved = save_chart(analysis.plot_step, chart, "step")
+    show(analysis.summary(), display, [stage], saved)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -13,24 +14,20 @@ from stickslip_fit._progress import show_progress
 from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
     LawNames,
-    LogPath,
+    LogSource,
     MachinePath,
-    Sheet,
-    Since,
-    Until,
     check_chart,
     command_line,
     load_causes,
     load_laws,
-    load_log,
 )
-from stickslip_fit.cli._show import Csv, Display, Full, Latex, show
+from stickslip_fit.cli._show import Display, save_chart, show
 from stickslip_fit.cli.fit import select_named_causes
 from stickslip_fit.errors import InputError
 
 
 def compare(
-    log: LogPath,
+    *,
     earlier: Annotated[
         bool, typer.Option("--earlier", help="Use earlier sessions only, not all others.")
     ] = False,
@@ -60,17 +57,11 @@ def compare(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the traverses chosen at random.")] = 0,
     law: LawNames = None,
-    machine: MachinePath = None,
-    since: Since = None,
-    until: Until = None,
-    sheet: Sheet = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    source: LogSource,
+    display: Display,
 ) -> None:
     """Compare calibration strategies by their held-out accuracy and the minutes they take."""
     from stickslip_fit.estimation import load_result
-    from stickslip_fit.plotting._style import write_figure
     from stickslip_fit.plotting.strategies import plot_pareto
     from stickslip_fit.strategies import (
         causes_from_other_sessions,
@@ -86,7 +77,7 @@ def compare(
     check_chart(chart)
     if cause and causes_from is not None:
         raise InputError("--cause and --causes-from exclude each other: give one of them")
-    campaign = load_log(log, machine, since, until, sheet)
+    campaign = source.read()
     laws = load_laws(law, campaign.joints)
     session_selector = earlier_sessions if earlier else other_sessions
     strategies = default_strategies(more, seed)
@@ -110,13 +101,12 @@ def compare(
     saved = []
     if numbers is not None:
         saved.append(f"{len(save_comparison(comparison, numbers))} tables saved in {numbers}")
-    if chart is not None:
-        write_figure(plot_pareto(comparison), chart, "pareto")
-        saved.append(f"chart written to {chart}")
-    show(comparison.summary(), Display(full, csv, latex, log), saved)
+    saved += save_chart(partial(plot_pareto, comparison), chart, "pareto")
+    show(comparison.summary(), display, source.log, saved)
 
 
 def study(
+    *,
     plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan of a study (TOML)."), INPUT],
     output: Annotated[
         Path | None,
@@ -133,9 +123,7 @@ def study(
         int | None, typer.Option(min=1, help="Processes on this machine; one a core without it.")
     ] = None,
     machine: MachinePath = None,
-    full: Full = False,
-    csv: Csv = None,
-    latex: Latex = None,
+    display: Display,
 ) -> None:
     """Simulate campaigns with hidden causes, and compare how strategies cope with them.
 
@@ -169,4 +157,4 @@ def study(
     for name, plot in charts.items():
         write_figure(plot(result), folder / f"{name}.png", name)
     saved = f"{len(written) // 2} tables (CSV and Parquet) and {', '.join(charts)}.png saved in {folder}"
-    show(result.summary(), Display(full, csv, latex, [plan]), [saved])
+    show(result.summary(), display, [plan], [saved])

@@ -15,7 +15,6 @@ import numpy as np
 from stickslip_fit._format import (
     MISSING,
     capitalize_first,
-    choose_time_unit,
     format_measured,
     format_measured_range,
     format_p_value,
@@ -25,7 +24,6 @@ from stickslip_fit._format import (
     typeset_text,
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
-from stickslip_fit.causes import SizedParameter
 from stickslip_fit.causes.roles import ROW_NUMBER
 from stickslip_fit.diagnosis._summary import (
     describe_untestable,
@@ -49,13 +47,12 @@ from stickslip_fit.diagnosis._unknown_summary import describe_company, describe_
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, Gain, TableInfo, shown_size
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
-from stickslip_fit.units import Interval, TableUnit
+from stickslip_fit.units import Interval
 
 MAX_PARAMETERS_NAMED = 4
 MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
 MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
 GIVEN_BEFORE = "each given those before it"
-TIMES = ("tau", "moment")  # parameters of generic causes
 
 
 @summarize.register
@@ -126,32 +123,16 @@ def describe_table_effect(finding: Finding, table: TableInfo) -> str:
         count = pluralize(len(finding.traverses), "value")
         return f"{count} of {table.response} do not belong to the rest, by up to {_largest(finding, table)}"
     if getattr(finding.version, "sentence", ""):
-        text = finding.version.describe(show_times(finding))
+        text = finding.version.describe(finding.shown_parameters)
         return text if finding.parameters else f"{text}, by {_format_rms(finding, table)}"
     phrase = capitalize_first(getattr(finding.version, "phrase", "") or finding.cause)
     source = getattr(finding.version, "source", None)
     if source is not None and not source.phrase:  # the phrase is then the formula, which does not name it
         phrase = f"{capitalize_first(finding.cause)}: {lower_first(phrase)}"
-    sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in show_times(finding)]
+    sizes = [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in finding.shown_parameters]
     if 0 < len(sizes) <= MAX_PARAMETERS_NAMED:
         return f"{phrase} ({', '.join(sizes)})"
     return f"{phrase}, by {_format_rms(finding, table)}"
-
-
-def show_times(finding: Finding) -> tuple[SizedParameter, ...]:
-    """The parameters of a finding, times in the unit in which they are read most easily."""
-    unit = getattr(finding.version, "time_unit", "")
-    shown = []
-    for one in finding.parameters:
-        if one.name in TIMES:
-            name, size = choose_time_unit(one.size.estimate, unit)
-            one = one.times(1.0 / size, TableUnit(name))
-        elif unit == "s" and one.unit.endswith("/s") and hasattr(finding.version, "longest"):
-            name, size = choose_time_unit(finding.version.longest, unit)
-            per = name if size == 1.0 else name.removesuffix("s")
-            one = one.times(size, TableUnit(one.unit.removesuffix(unit) + per))
-        shown.append(one)
-    return tuple(shown)
 
 
 def _largest(finding: Finding, table: TableInfo) -> str:
@@ -327,7 +308,7 @@ def _parameter_tables(findings: Sequence[Finding]) -> list[Table]:
         )
         for name, finding in zip(name_findings(findings), findings, strict=True)
         if finding.traverses is None
-        for parameter in show_times(finding)
+        for parameter in finding.shown_parameters
     ]
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], [row[:-1] for row in rows]

@@ -130,7 +130,7 @@ def attribute_to_causes(
     """
     owner: dict[str, Any] = {}
     for cause in problem_causes:
-        for name in getattr(cause, "columns", ()):
+        for name in cause.columns:
             owner[name] = None if name in owner or len(cause.columns) > 1 else cause
     attributed: list[Hypothesis | AR1] = []
     for one in alternatives:
@@ -139,7 +139,7 @@ def attribute_to_causes(
             continue
         if cause is None or not isinstance(one, Hypothesis):
             attributed.append(one)
-        elif cause.name not in without and not hasattr(cause, "as_labels"):
+        elif cause.name not in without and cause.owns_functions:
             attributed.append(replace(one, cause=cause.name, version=cause, values=None))
     return attributed
 

@@ -140,6 +140,11 @@ class Finding:
         """The likeliest cause, then those that the log cannot separate from it."""
         return (self.cause, *self.equivalent)
 
+    @property
+    def shown_parameters(self) -> tuple[SizedParameter, ...]:
+        """The parameters in the units in which they are read most easily."""
+        return tuple(self.version.readable(self.parameters)) if self.parameters else ()
+
 
 @dataclass(frozen=True)
 class NextTraverse:

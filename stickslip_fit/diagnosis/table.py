@@ -8,10 +8,8 @@ estimated and removed (`autocorrelation`).
 
 from __future__ import annotations
 
-import hashlib
-import re
 import time as clock
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,56 +17,41 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._format import join_words
-from stickslip_fit._input import format_path
 from stickslip_fit._progress import ProgressCallback, ignore_progress
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array
 from stickslip_fit.causes import table_library
-from stickslip_fit.causes.cause_formula import CauseFormula
-from stickslip_fit.causes.empty_cells import leave_out_empty, leave_out_gaps
+from stickslip_fit.causes.empty_cells import leave_out_gaps
 from stickslip_fit.causes.generic import SessionOffset
-from stickslip_fit.causes.periodic import PeriodicTime
-from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, direction_labels, prepare_rows
-from stickslip_fit.causes.table_terms import PeriodicTableTerm
-from stickslip_fit.causes.times import read_times
-from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, number_samples
+from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, prepare_rows
+from stickslip_fit.diagnosis.autocorrelation import number_samples
 from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.finding import TableInfo
-from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_finite_effects
-from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, linearize_fit
-from stickslip_fit.diagnosis.mean_structure import find_mean_effects
-from stickslip_fit.diagnosis.periodicity import find_period
+from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
 from stickslip_fit.diagnosis.pipeline import diagnose_problem
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.diagnosis.table_alternatives import (
-    MIN_CYCLES,
     TableAlternatives,
-    leading_directions,
     response_columns,
+)
+from stickslip_fit.diagnosis.table_noise import with_samples
+from stickslip_fit.diagnosis.table_rows import (
+    as_law,
+    declared_time_unit,
+    describe_choices,
+    find_columns,
+    read_rows,
 )
 from stickslip_fit.errors import InputError, InputIssue, check_count, check_rate
 from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.estimation.table_law import fit_table_law
-from stickslip_fit.laws import Law
-from stickslip_fit.logs._numbers import with_numbers
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
-from stickslip_fit.logs.table_file import read_table_file
 
-MAX_MEAN_DIRECTIONS, ROWS_PER_MEAN_DIRECTION = 30, 12  # of candidates, while the noise is estimated
 MAX_RATIO = 1e15  # of a response to their median, beside which the others are lost in rounding
 # Of the noise, relative to the responses' standard deviation and to the largest of them; less is rounding.
 MIN_RELATIVE_SD, ROUNDING = 1e-9, 1e-13
-TIME_UNITS = {  # and endings of names, in lower case
-    "ms": {"ms", "millis", "milliseconds"},
-    "min": {"min", "mins", "minute", "minutes"},
-    "h": {"h", "hr", "hrs", "hour", "hours"},
-    "days": {"d", "day", "days"},
-    "years": {"yr", "year", "years"},
-}
 NO_TIME = "no column was named as the time; where rows stand in the order of measurement, say time='order'"
 N_REFITS = 4
-PARAMETER_LETTERS = "abcd"  # names of a formula that look like parameters
 NO_POSITION = "no column was named as the position"
 NO_DIRECTION = "no column was named as the direction"
 
@@ -139,11 +122,11 @@ def diagnose_table(
     check_count("seed", seed, least=0)
     law, causes = as_law(law), tuple(causes)
     roles = TableRoles(session, time, position, direction, group)
-    used, levels = _find_columns(law, response, causes), [str(getattr(cause, "by", "")) for cause in causes]
+    used, levels = find_columns(law, response, causes), [str(getattr(cause, "by", "")) for cause in causes]
     table, source = read_rows(frame, sheet, roles, used, levels)
     table, notes = leave_out_gaps(table, {*used, *levels, *roles.columns.values()})
     source["notes"] = (*source["notes"], *notes, *describe_choices(table, roles, law))
-    roles = replace(roles, time_unit=_time_unit(law, table, time))
+    roles = replace(roles, time_unit=declared_time_unit(law, table, time))
     if shared is not None:
         law = replace(law, shared=shared if isinstance(shared, str) else tuple(shared))
     progress("fitting the law", 0.0)
@@ -184,7 +167,7 @@ def fit_table(
         As `diagnose_table`.
     """
     roles, law = TableRoles(session, time), as_law(law)
-    table, source = read_rows(frame, sheet, roles, _find_columns(law, response, ()))
+    table, source = read_rows(frame, sheet, roles, find_columns(law, response, ()))
     if shared is not None:
         law = replace(law, shared=shared if isinstance(shared, str) else tuple(shared))
     problem, _ = problem_from_table(table, law, response=response, roles=roles, generic_causes=())
@@ -227,7 +210,7 @@ def problem_from_table(
     roles = TableRoles() if roles is None else roles
     law = as_law(law)
     names = [str(name) for name in getattr(frame, "columns", ())]
-    prepare_rows(frame, roles, [name for name in _find_columns(law, None, ()) if name in names])
+    prepare_rows(frame, roles, [name for name in find_columns(law, None, ()) if name in names])
     own = frame.drop(columns=ROW_NUMBER, errors="ignore")
     bound = law.bind_table(own, response=response, session=roles.session)
     rows = prepare_rows(frame, roles, bound.columns)
@@ -266,63 +249,8 @@ def problem_from_table(
     missing = _explain_missing(rows, bound, roles) if generic_causes is None else {}
     if sample is None or repeatability <= least_sd:  # without scatter there is no noise to be coloured
         return problem, missing
-    return with_samples(problem, sample, roles.time_unit if generic_causes is None else None), missing
-
-
-def with_samples(
-    problem: DiagnosisProblem, sample: IntArray, time_unit: str | None = None
-) -> DiagnosisProblem:
-    """The problem with rows that are samples of a signal, numbered as by `number_samples`.
-
-    With a unit of the time a strict period is one more candidate.
-    """
-    linearized = problem.linearize()
-    effects: dict[str, list[Array]] = {}
-    shapes: list[Array] = []
-    for one in compute_finite_effects(linearized, problem.causes):
-        if not one.version.session:
-            changes = linearized.project(np.nan_to_num(one.changes))
-            effects.setdefault(one.cause, []).append(changes)
-            shapes += [changes] if one.version.combine_trials else np.split(changes, changes.shape[1], axis=1)
-    most = min(MAX_MEAN_DIRECTIONS, max(linearized.df, 0) // ROWS_PER_MEAN_DIRECTION)
-    columns = [np.concatenate(own, axis=1) for own in effects.values()]
-    directions = leading_directions(columns, most) if columns else np.zeros((len(problem), 0))
-    # Waves are looked for at finer periods, and with harmonics.
-    shapes += [
-        one.directions
-        for one in problem.alternatives(linearized)
-        if isinstance(one, Hypothesis) and not isinstance(one.version, PeriodicTableTerm)
-    ]
-    wave, mean = None, np.zeros((len(problem), 0))
-    for step in ("wave", "effects", "wave"):
-        if step == "effects":
-            mean = np.concatenate([mean, find_mean_effects(linearized, shapes, mean, sample)], axis=1)
-        elif wave is None and time_unit is not None:
-            wave = _find_wave(problem, linearized, mean, sample, time_unit)
-            if wave is not None:
-                functions = linearized.whiten(wave.functions(problem.rows))
-                mean = np.concatenate([mean, linearized.project(functions)], axis=1)
-    mean = np.concatenate([mean, directions], axis=1)
-    mean /= np.maximum(np.linalg.norm(mean, axis=0), np.finfo(float).tiny)
-    scaled = mean * np.sqrt(len(problem)) * float(problem.repeatability[0])
-    causes = problem.causes if wave is None else (*problem.causes, wave)
-    return replace(problem, autocorrelation=Autocorrelation(sample, scaled), causes=causes)
-
-
-def _find_wave(
-    problem: DiagnosisProblem, linearized: LinearizedFit, effects: Array, sample: IntArray, time_unit: str
-) -> PeriodicTime | None:
-    """The strict period of a signal of one session as a candidate cause; None where it has none."""
-    if problem.rows["session"].nunique() > 1:
-        return None
-    seconds = problem.rows["session_seconds"].to_numpy(float)
-    longest = float(seconds.max()) / MIN_CYCLES
-    period, harmonics = find_period(linearized, effects, sample, seconds, longest)
-    if not harmonics:
-        return None
-    size = table_library.TRIAL_SHARE * float(np.std(problem.responses))
-    unit = str(problem.parts[0].law.response_unit)
-    return PeriodicTime(period=period, harmonics=harmonics, unit=unit, size=size, time_unit=time_unit)
+    time_unit = roles.time_unit if generic_causes is None else None
+    return with_samples(problem, alternatives, sample, time_unit), missing
 
 
 def describe_table(problem: DiagnosisProblem, searched: DiagnosisProblem, roles: TableRoles) -> TableInfo:
@@ -347,100 +275,6 @@ def describe_table(problem: DiagnosisProblem, searched: DiagnosisProblem, roles:
     )
 
 
-def _time_unit(law: Any, table: pd.DataFrame, time: str | None) -> str:
-    """The unit of a time column of numbers: as declared, as its name ends, or seconds."""
-    if time not in table or not pd.api.types.is_numeric_dtype(table[time]):
-        return "s"
-    declared = (getattr(law, "units", None) or {}).get(time)
-    return str(declared) if declared else unit_of_name(str(time))
-
-
-def unit_of_name(name: str) -> str:
-    """The unit of time that a column's name ends in; seconds where it ends in none.
-
-    Examples
-    --------
-    >>> [unit_of_name(name) for name in ("t", "time_min", "t (ms)", "Time [h]", "Year", "elapsed days")]
-    ['s', 'min', 'ms', 'h', 'years', 'days']
-    """
-    ending = re.split(r"[\s_\[(/]+", name.strip(" ])").lower())[-1]
-    return next((unit for unit, names in TIME_UNITS.items() if ending in names), "s")
-
-
-def read_table(
-    frame: pd.DataFrame | str | Path, sheet: str | None = None
-) -> tuple[pd.DataFrame, dict[str, Any]]:
-    """A table from a DataFrame or a file, with its name, hash and notes as `TableInfo` has them.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is no table, or has no such sheet.
-    """
-    if isinstance(frame, pd.DataFrame):
-        return frame, {"sha256": _hash_frame(frame)}
-    if not isinstance(frame, str | Path):
-        raise InputError(f"a table is a DataFrame or the path of a file, not {type(frame).__name__}")
-    read = read_table_file(frame, sheet)
-    source = {"file": format_path(frame), "sha256": read.sha256, "files": (str(frame),)}
-    return read.frame, source | ({"notes": (read.note,)} if read.note else {})
-
-
-def read_rows(
-    frame: pd.DataFrame | str | Path,
-    sheet: str | None,
-    roles: TableRoles,
-    used: Sequence[str],
-    levels: Sequence[str] = (),
-) -> tuple[pd.DataFrame, dict[str, Any]]:
-    """As `read_table`, without the rows in which a role or a column is empty.
-
-    Columns in `used` are of numbers, those in `levels` of anything.
-    """
-    table, source = read_table(frame, sheet)
-    names = [str(name) for name in table.columns]
-    if len(table) == 0 or len(set(names)) < len(names):
-        prepare_rows(table, roles)  # which says what is wrong
-    numbers = [*used, *filter(None, [roles.position])]
-    texts = [roles.session, roles.direction, roles.group, roles.time, *levels]
-    table = with_numbers(table.set_axis(names, axis=1), numbers)
-    table, notes = leave_out_empty(table, numbers, [name for name in texts if name])
-    return table, source | {"notes": (*source.get("notes", ()), *notes)}
-
-
-def describe_choices(table: pd.DataFrame, roles: TableRoles, law: Any) -> tuple[str, ...]:
-    """What was taken for what where another reading is possible, as sentences."""
-    notes = []
-    labels = direction_labels(table[roles.direction]) if roles.direction in table else ()
-    is_number = bool(labels) and table[roles.direction].dtype.kind in "iuf"
-    are_signs = float(labels[0]) < 0 < float(labels[-1]) if is_number else labels == ("-", "+")
-    if labels and not are_signs:
-        notes.append(f"Of the direction {roles.direction}, {labels[-1]} is + and {labels[0]} is -.")
-    if roles.time in table and (note := read_times(table[roles.time]).note):
-        notes.append(f"Of the time {roles.time}, {note}.")
-    letters = [name for name in getattr(law, "names", ()) if name in PARAMETER_LETTERS and name in table]
-    if letters:
-        columns = "is the column of that name" if len(letters) == 1 else "are the columns of these names"
-        notes.append(f"{join_words(letters)} of the law {columns}, and no parameter.")
-    return tuple(notes)
-
-
-def _hash_frame(frame: pd.DataFrame) -> str:
-    try:
-        cells = pd.util.hash_pandas_object(frame, index=False).to_numpy().tobytes()
-    except TypeError:  # cells such as lists, which a role may not name anyway
-        cells = repr(frame).encode()
-    return hashlib.sha256(cells).hexdigest()
-
-
-def as_law(law: Any) -> Any:
-    """A law from a formula, or the law itself."""
-    law = Law(law) if isinstance(law, str) else law
-    if not hasattr(law, "bind_table"):
-        raise InputError(f"a law is a formula or a Law, not {type(law).__name__}")
-    return law
-
-
 def _check_response(y: Array, rows: pd.DataFrame, name: str) -> None:
     """Refuse responses of which nothing can be learnt."""
     if len(y) > 1 and np.ptp(y) == 0:
@@ -460,16 +294,6 @@ def _check_response(y: Array, rows: pd.DataFrame, name: str) -> None:
             for row, value in zip(rows.loc[far, ROW_NUMBER], y[far], strict=True)
         ]
         raise InputError(issues[:3])
-
-
-def _find_columns(law: Any, response: str | None, causes: Iterable[Any]) -> list[str]:
-    """Names that may be columns: those of a law and its response, and of causes that are formulas."""
-    left = getattr(law, "left", None)
-    names = [*getattr(law, "names", ()), *(left.names if left is not None else [response or ""])]
-    for cause in causes:
-        if isinstance(cause, CauseFormula):
-            names += [*cause.effect.names, cause.target]
-    return list(dict.fromkeys(filter(None, names)))
 
 
 def _fit_law(law: Any, rows: pd.DataFrame, y: Array) -> tuple[LawBlock, float]:

@@ -86,6 +86,11 @@ class TableAlternatives:
 
     def __call__(self, linearized: LinearizedFit) -> list[Hypothesis | AR1]:
         """Every alternative for which the rows have the columns."""
+        waves = self._waves(linearized) if self.roles.time else []
+        return [*self.shapes(linearized), *waves]
+
+    def shapes(self, linearized: LinearizedFit) -> list[Hypothesis | AR1]:
+        """Those without a period."""
         prediction = np.zeros(len(linearized))
         for part in linearized.parts:
             prediction[part.rows] = part.law.predict(linearized.rows.iloc[part.rows], part.values)
@@ -151,7 +156,7 @@ class TableAlternatives:
     def _in_time(self, linearized: LinearizedFit) -> list[Hypothesis | AR1 | None]:
         rows, sessions = linearized.rows, list(split_sessions(linearized).values())
         seconds = rows["session_seconds"].to_numpy(float)
-        session, labels = pd.factorize(rows["session"].astype(object))
+        session = pd.factorize(rows["session"].astype(object))[0]
         waves, n = smooth_in_time(seconds, session), len(rows)
         hypotheses: list[Hypothesis | AR1 | None] = []
         if len(sessions) >= MIN_SESSIONS or not self.sampled:
@@ -169,9 +174,15 @@ class TableAlternatives:
             before = previous_rows(session.astype(np.int64)).astype(np.intp)
             sequences = Sequences.of(before, linearized.basis)
             hypotheses += [AR1("unknown:memory", sequences, phi) for phi in AR1_COEFFICIENTS]
+        return hypotheses
+
+    def _waves(self, linearized: LinearizedFit) -> list[Hypothesis]:
+        rows, sessions = linearized.rows, list(split_sessions(linearized).values())
+        seconds = rows["session_seconds"].to_numpy(float)
+        session, labels = pd.factorize(rows["session"].astype(object))
         periods = (sampled_periods if self.sampled else unevenly_sampled_periods)(seconds, session)
         if not len(periods):
-            return hypotheses
+            return []
         angles = 2 * np.pi * seconds[:, None] / periods
         pairs = linearized.whiten(np.concatenate([np.cos(angles), np.sin(angles)], axis=1))
         pairs = np.stack(np.split(pairs, 2, axis=1), axis=-1)
@@ -184,10 +195,11 @@ class TableAlternatives:
             time_unit=self.roles.time_unit,
             unit=self.unit,
         )
-        for one in build_per_session_hypotheses(numbers, n, sessions, pairs):
+        found = []
+        for one in build_per_session_hypotheses(numbers, len(rows), sessions, pairs):
             wave = replace(plain, period=float(periods[int(one.cause)]))
-            hypotheses.append(replace(one, cause=f"unknown:{wave}", version=wave))
-        return hypotheses
+            found.append(replace(one, cause=f"unknown:{wave}", version=wave))
+        return found
 
     def expressions(self, linearized: LinearizedFit) -> Dictionary | None:
         """Short expressions over the columns, alike in both directions or opposite; None without columns."""

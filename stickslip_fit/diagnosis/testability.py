@@ -33,7 +33,7 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
     untestable, sessions = {}, split_sessions(linearized)
     data = "log" if is_log(linearized) else "table"
     for cause in problem.causes:
-        share = getattr(cause, "share_where_noise_persists", 1.0) if len(problem.correlation) else 1.0
+        share = cause.share_where_noise_persists if len(problem.correlation) else 1.0
         strength = largest_strength(cause, linearized, sessions, problem.outlier_cause, share)
         if strength < EFFECT_TOL and _always_fails(cause, linearized, sessions):
             untestable[cause.name] = NO_TRIALS

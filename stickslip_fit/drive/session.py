@@ -41,7 +41,7 @@ from stickslip_fit.drive.script import ScriptDevice, read_script
 from stickslip_fit.drive.state import DriveState, InputDevice, Screen
 from stickslip_fit.drive.sticks import StickDevice, open_gamepad, open_spacemouse
 from stickslip_fit.errors import InputError, InputIssue
-from stickslip_fit.machine import Machine, forward
+from stickslip_fit.machine import forward
 from stickslip_fit.moves import CalibratedArm, DriveReckoning
 
 STICKS = {"gamepad": open_gamepad, "spacemouse": open_spacemouse}
@@ -169,11 +169,11 @@ def run_drive(
     job: DriveJob, rig: DriveRig, record: BurstRecord, drive: DriveReckoning, inputs: DriveInput
 ) -> DriveState:
     """Run a drive to its end, shown in the terminal."""
-    terminal = TerminalScreen(inputs.help_lines, partial(_picture, job.arm.machine))
+    terminal = TerminalScreen(inputs.help_lines, lambda state, *size: draw_arm(state, job.arm.machine, *size))
     with ExitStack() as closing:
         closing.callback(terminal.close)
         screen: Screen = Screens((terminal, *inputs.screens))
-        age: Callable[[], float] = _never_stalls
+        age: Callable[[], float] = lambda: 0.0  # noqa: E731
         if isinstance(rig.clock, RealClock) and sys.stdout.isatty():
             thread = ScreenThread(screen, rig.clock.now)
             closing.callback(thread.close)
@@ -192,14 +192,6 @@ def run_drive(
                 step_period=rig.timing.step_period,
             )
         return loop.run()
-
-
-def _picture(machine: Machine, state: DriveState, width: int, height: int) -> list[str]:
-    return draw_arm(state, machine, width, height)
-
-
-def _never_stalls() -> float:
-    return 0.0
 
 
 def drive_real(job: DriveJob, port: str, dialect: str, device: str | None, tuning: Path | None) -> str:

@@ -1,6 +1,7 @@
 """Predictions of a fit and their errors: planned traverses, held-out traverses, control chart.
 
-`assess_held_out` compares held-out errors with repeatability and calibration uncertainty by an F test;
+`assess_held_out` compares held-out errors with repeatability and calibration uncertainty by an F test, and
+`describe_excess_scatter` residuals with replicates, the cheap sign that a law misses something;
 `held_out_errors` sets the law beside the constant step (thesis Ch. 7). The control chart compares each
 session with the prediction interval from earlier sessions (Student's t, Bonferroni over its
 parameters).
@@ -103,6 +104,45 @@ def _mahalanobis_square(fit: JointFit, rows: pd.DataFrame, residual: np.ndarray,
     if not np.all(np.isfinite(expected)):
         return float("nan")
     return float(residual @ np.linalg.solve(expected, residual))
+
+
+EXCESS_LEVEL, MIN_EXCESS = 1e-3, 1.4  # of the F test over all directions; of the standard deviations
+MIN_DF = 4  # of either
+
+
+def describe_excess_scatter(log: Log, result: Result) -> str:
+    """A sentence on the joint and direction with the largest excess; empty where there is none.
+
+    Residual scatter and the replicate scatter of the calibration in closed form are compared by an F test,
+    for each joint and direction that has both.
+
+    Parameters
+    ----------
+    log : Log
+        That was fitted.
+    result : Result
+        By least squares.
+    """
+    laws = {joint: law_without_causes(fit.law) for joint, fit in result.joints.items()}
+    calibration, found = solve_calibration(log, laws, "closed-form"), []
+    for joint, fit in result.joints.items():
+        for direction, residual in fit.repeatability.items():
+            replicate = calibration.joints[joint].repeatability[direction]
+            sources = (residual.source, replicate.source)
+            if sources != ("residuals", "replicates") or min(residual.df, replicate.df) < MIN_DF:
+                continue
+            ratio = residual.value / replicate.value if replicate.value > 0 else 0.0
+            chance = fdtrc(residual.df, replicate.df, ratio**2) * 2 * len(result.joints)
+            if ratio > MIN_EXCESS and chance < EXCESS_LEVEL:
+                found.append((ratio, joint, direction, residual.value, replicate.value))
+    if not found:
+        return ""
+    _, joint, direction, residual_scatter, replicate_scatter = max(found)
+    return (
+        f"The residual scatter is {format_percent(residual_scatter)}, the replicate scatter "
+        f"{format_percent(replicate_scatter)} (joint {joint}, direction {format_direction(direction)}): the "
+        "law misses something; run stickslip-fit diagnose."
+    )
 
 
 def fit_constant_step(log: Log, result: Result) -> Result:

@@ -6,14 +6,17 @@ the same column has both marks, or two thousands separators.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
+
+from stickslip_fit.errors import InputError, InputIssue
 
 _NO_VALUE = ("", "na", "n/a", "#n/a", "nan", "<na>", "null", "none", "nat")  # in lower case, in any column
 _NO_NUMBER = (*_NO_VALUE, "-", "--", "---", "?", "..", "...")  # the same in a column of numbers
@@ -22,6 +25,9 @@ _NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eEdD][+-]?[0-9]+)?$|^[+-]?(inf|Inf
 _INTEGER = r"^[+-]?[0-9]{1,18}$"
 _DECIMAL_COMMA = r"^[+-]?[0-9]*,[0-9]+([eEdD][+-]?[0-9]+)?$"
 _DECIMAL_POINT = r"^[+-]?[0-9]*\.[0-9]+([eEdD][+-]?[0-9]+)?$"
+DescribePlace = Callable[[int, str], str]
+"""A line, counted from 1, and a column to where that is, in words."""
+
 _CLEAR_MARKS = "'’\u00a0\u202f\u2009 "  # thousands separators that are no decimal mark
 
 
@@ -34,28 +40,67 @@ def _surely_grouped(mark: str, decimal: str) -> str:
     return rf"{first}([{mark}][0-9]{{3}})+[{decimal}][0-9]*$|{first}([{mark}][0-9]{{3}}){{2,}}$"
 
 
-def find_decimal_marks(columns: list[pa.Array]) -> tuple[str, str]:
-    """The first number with a decimal comma and the first with a decimal point; "" where there is none.
+@dataclass(frozen=True)
+class FirstNumber:
+    """The first number of a kind: its row, counted from 0, column and text."""
+
+    row: int
+    column: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Decimals:
+    """The first number with a decimal comma and the first with a point; None where there is none."""
+
+    comma: FirstNumber | None
+    point: FirstNumber | None
+
+    def check(self, file: str, line_of: Callable[[int], int], describe_place: DescribePlace) -> None:
+        """Raise InputError where there is one of each kind."""
+        if self.comma is None or self.point is None:
+            return
+        place = describe_place(line_of(self.comma.row), self.comma.column)
+        message = (
+            f"has a decimal point, and {self.comma.text!r} in {place}, column {self.comma.column}, a decimal "
+            "comma; write all numbers in one way, thousands without a mark"
+        )
+        line = line_of(self.point.row)
+        raise InputError(InputIssue(message, file, line, self.point.column, self.point.text))
+
+
+def find_decimals(columns: Mapping[str, pa.Array]) -> Decimals:
+    """How the numbers in columns of text have their decimals.
 
     Examples
     --------
-    >>> find_decimal_marks([pa.array(["3", "", "-1,5"], pa.large_string())])
-    ('-1,5', '')
-    >>> find_decimal_marks([pa.array(["1.234,5", "1.250"], pa.large_string())])
-    ('1.234,5', '')
+    >>> find_decimals({"q1_deg": pa.array(["3", "", "-1,5"], pa.large_string())})
+    Decimals(comma=FirstNumber(row=2, column='q1_deg', text='-1,5'), point=None)
+    >>> find_decimals({"F": pa.array(["1.234,5", "1.250"], pa.large_string())}).point
     """
-    comma = point = ""
-    for cells in columns:
+    comma, point = list[FirstNumber](), list[FirstNumber]()
+    for name, cells in columns.items():
+        if not pa.types.is_large_string(cells.type):
+            continue
         cells = pc.utf8_trim_whitespace(cells)
-        grouped = _first(cells, _surely_grouped(".", ","))
-        comma = comma or _first(cells, _DECIMAL_COMMA) or (grouped if "," in grouped else "")
-        point = point or ("" if grouped else _first(cells, _DECIMAL_POINT))
-    return comma, point
+        grouped = _find_first(name, cells, _surely_grouped(".", ","))
+        comma += _find_first(name, cells, _DECIMAL_COMMA) or [one for one in grouped if "," in one.text]
+        point += [] if grouped else _find_first(name, cells, _DECIMAL_POINT)
+    first = (min(found, key=lambda one: one.row, default=None) for found in (comma, point))
+    return Decimals(*first)
 
 
-def _first(cells: pa.Array, pattern: str) -> str:
-    place = pc.index(pc.match_substring_regex(cells, pattern), True).as_py()
-    return "" if place < 0 else str(cells[place].as_py())
+def _find_first(name: str, cells: pa.Array, pattern: str) -> list[FirstNumber]:
+    row = pc.index(pc.match_substring_regex(cells, pattern), True).as_py()
+    return [] if row < 0 else [FirstNumber(row, name, cells[row].as_py())]
+
+
+def with_points(cells: pa.Array) -> pa.Array:
+    """Cells in which numbers with a decimal comma have a point; other text stays as it is."""
+    if not pa.types.is_large_string(cells.type):
+        return cells
+    has_comma = pc.match_substring_regex(pc.utf8_trim_whitespace(cells), _DECIMAL_COMMA)
+    return pc.if_else(has_comma, pc.replace_substring(cells, ",", "."), cells)
 
 
 def read_column(cells: pa.Array, decimal_comma: bool = False) -> tuple[pd.Series[Any], bool]:
@@ -74,7 +119,7 @@ def read_column(cells: pa.Array, decimal_comma: bool = False) -> tuple[pd.Series
     for kind in (pa.int64(), pa.float64()):
         with suppress(pa.ArrowInvalid):  # as most columns are, at a tenth of the time
             return pd.Series(number.cast(kind).to_numpy(zero_copy_only=False)), False
-    points, grouped = _with_points(number, decimal_comma)
+    points, grouped = _without_marks(number, decimal_comma)
     if points is not None:
         kind = pa.int64() if _all_match(points, _INTEGER) else pa.float64()
         plain = pc.replace_substring_regex(points, r"^\+", "")
@@ -86,18 +131,17 @@ def read_column(cells: pa.Array, decimal_comma: bool = False) -> tuple[pd.Series
     return pd.Series(text.to_pandas()), False
 
 
-def _with_points(cells: pa.Array, decimal_comma: bool) -> tuple[pa.Array | None, bool]:
+def _without_marks(cells: pa.Array, decimal_comma: bool) -> tuple[pa.Array | None, bool]:
     """Numbers with decimal points and no thousands separators, None where a cell is no number."""
     mark, decimal = (".", ",") if decimal_comma else (",", ".")
     clear = pc.match_substring_regex(cells, _grouped(_CLEAR_MARKS, decimal))
     marked = pc.match_substring_regex(cells, _grouped(mark, decimal))
-    if not _first(cells, _surely_grouped(mark, decimal)):
+    if not _find_first("", cells, _surely_grouped(mark, decimal)):
         marked = pc.and_(marked, False)
     either = pc.fill_null(pc.or_(clear, marked), False)
     cells = pc.if_else(either, pc.replace_substring_regex(cells, f"[{mark}{_CLEAR_MARKS}]", ""), cells)
     if decimal_comma:
-        has_comma = pc.match_substring_regex(cells, _DECIMAL_COMMA)
-        cells = pc.if_else(pc.or_(has_comma, either), pc.replace_substring(cells, ",", "."), cells)
+        cells = with_points(pc.if_else(either, pc.replace_substring(cells, ",", "."), cells))
     return (cells if _all_match(cells, _NUMBER) else None), bool(pc.any(either).as_py())
 
 

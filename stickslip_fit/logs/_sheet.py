@@ -19,7 +19,8 @@ import pyarrow as pa
 
 from stickslip_fit._format import join_words
 from stickslip_fit._typing import Int64Array
-from stickslip_fit.logs._decimals import find_decimals, with_points
+from stickslip_fit.errors import InputError
+from stickslip_fit.logs._numbers import find_decimals, with_points
 from stickslip_fit.logs._table import MAX_COLUMNS, FileTable, IssueCollector, report_excess
 from stickslip_fit.logs.schema import holds_numbers, is_known
 
@@ -74,7 +75,7 @@ class SheetTable(FileTable):
 
     def locate(self, row: int) -> str:
         """See `FileTable`."""
-        return f"row {self.lines(np.array([row]))[0]} of sheet {self.sheet!r} of {self.file}"
+        return f"row {self.line(row)} of sheet {self.sheet!r} of {self.file}"
 
     def describe_place(self, line: int, column: str | None = None) -> str:
         """See `FileTable`."""
@@ -195,8 +196,10 @@ def _with_decimals(table: SheetTable, issues: IssueCollector) -> SheetTable | No
     decimals = find_decimals(written)
     if decimals.comma is None:
         return table
-    if decimals.point is not None:
-        decimals.report_both(table, issues)
+    try:
+        decimals.check(table.file, table.line, table.describe_place)
+    except InputError as error:
+        issues.add_error(error)
         return None
     note = f"{table.file}: numbers in text have decimal commas, and were read so"
     return replace(table, decimal_comma=True, notes=(*table.notes, note))

@@ -66,9 +66,13 @@ class FileTable(ABC):
         """Number of rows."""
         return self.n_in_file if self.rows is None else len(self.rows)
 
+    def line(self, row: int) -> int:
+        """See `lines`."""
+        return int(self.lines(np.array([row]))[0])
+
     def locate(self, row: int) -> str:
         """Where a row stands, in words."""
-        return f"{self.describe_place(int(self.lines(np.array([row]))[0]))} of {self.file}"
+        return f"{self.describe_place(self.line(row))} of {self.file}"
 
     def describe_place(self, line: int, column: str | None = None) -> str:
         """A line, or the cell of a column in it, as people find it in the file."""

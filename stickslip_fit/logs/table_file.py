@@ -17,16 +17,17 @@ from pathlib import Path
 
 import pandas as pd
 import pyarrow as pa
-from pyarrow import csv as arrow_csv
 
 from stickslip_fit._format import join_words, pluralize
 from stickslip_fit._input import format_path, read_file
 from stickslip_fit.errors import InputError, InputIssue, shorten
+from stickslip_fit.logs._csv import CsvRecords, explain_ragged, read_cells
 from stickslip_fit.logs._encoding import decode
 from stickslip_fit.logs._files import find_foreign
-from stickslip_fit.logs._numbers import find_decimal_marks, read_column
+from stickslip_fit.logs._numbers import find_decimals, read_column
 from stickslip_fit.logs._sheet import is_workbook
 from stickslip_fit.logs._table import IssueCollector
+from stickslip_fit.units import TIME_SPELLINGS
 
 MAX_BYTES = 2**29
 SAMPLE = 2000  # lines from which the layout is judged
@@ -35,8 +36,9 @@ COMMENT = "#"
 _SEPARATOR_LINE = re.compile(r"sep=([,;\t|])$", re.IGNORECASE)
 _BLANK = re.compile(r"[ \t]+")
 _LIKE_NUMBER = re.compile(r"[+-]?[.,]?\d[\d.,:/' \u00a0\u202f+\-eETZ]*([AaPp][Mm])?")
-_NAMES = "degC|degF|deg|rad|Ohm|ohm|mol|cd|Hz|Pa|bar|eV|dBm|dB|min|sec|ppm|ppb|rpm|px|cts|counts|arb|a\\.u\\."
-_ONE_UNIT = rf"[fpnuµμmckMGT]?(?:{_NAMES}|[mgsAKNJWVCFΩSTHhlL°%])(?:\^?[-+]?\d|[²³⁻¹]+)?|°C|°F|1|-"
+_NAMES = "degC|degF|deg|rad|Ohm|ohm|mol|cd|Hz|Pa|bar|eV|dBm|dB|sec|ppm|ppb|rpm|px|cts|counts|arb|a\\.u\\."
+_TIMES = "|".join(name for names in TIME_SPELLINGS.values() for name in names)
+_ONE_UNIT = rf"[fpnuµμmckMGT]?(?:{_NAMES}|{_TIMES}|[mgsAKNJWVCFΩSTHhlL°%])(?:\^?[-+]?\d|[²³⁻¹]+)?|°C|°F|1|-"
 _UNIT = re.compile(rf"[\[(]?(?:{_ONE_UNIT})(?:[*/·. ](?:{_ONE_UNIT}))*[\])]?")
 
 
@@ -128,17 +130,16 @@ def _read_text(raw: bytes, file: str) -> tuple[pd.DataFrame, list[str]]:
     layout = _find_layout([cells for _, cells in sample], header)
     guessed += layout.left_out
     begin = sample[layout.first][0] if layout.first < len(sample) else len(lines)
-    columns = _read_cells(lines[begin:], separator, len(layout.names))
-    comma, point = ("", "") if separator == "," else find_decimal_marks(columns)
-    if comma and point:
-        raise InputError(
-            f"has numbers with decimal commas, as {comma!r}, and with points, as {point!r}; write all of "
-            "them in one way"
-        )
-    read = [read_column(cells, decimal_comma=bool(comma)) for cells in columns]
+    records, cells = _read_cells(lines[begin:], separator, len(layout.names))
+    columns = [column.combine_chunks() for column in cells.columns]
+    decimals = find_decimals({} if separator == "," else dict(zip(layout.names, columns, strict=True)))
+    decimals.check(
+        file, lambda row: lines[begin + records.scan.lines[row] - 1][0], lambda line, _: f"line {line}"
+    )
+    read = [read_column(cells, decimal_comma=bool(decimals.comma)) for cells in columns]
     if thousands := [name for name, (_, marked) in zip(layout.names, read, strict=True) if marked]:
         guessed.append(f"numbers of {join_words(thousands)} have thousands separators")
-    guessed += ["decimals have commas"] if comma else []
+    guessed += ["decimals have commas"] if decimals.comma else []
     frame = pd.concat([cells for cells, _ in read], axis=1).set_axis(layout.names, axis=1)
     return _without_unnamed(frame), guessed
 
@@ -296,7 +297,7 @@ def _fit_names(names: list[str], body: list[list[str]], width: int) -> list[str]
     return ["", *names] if numbered else names + [""] * (width - len(names))
 
 
-def _read_cells(lines: list[tuple[int, str]], separator: str, width: int) -> list[pa.Array]:
+def _read_cells(lines: list[tuple[int, str]], separator: str, width: int) -> tuple[CsvRecords, pa.Table]:
     """The cells of each column as text.
 
     Raises
@@ -309,36 +310,16 @@ def _read_cells(lines: list[tuple[int, str]], separator: str, width: int) -> lis
     if separator == " ":
         lines = [(number, _BLANK.sub("\t", line.strip())) for number, line in lines]
         separator = "\t"
-    ragged: list[arrow_csv.InvalidRow] = []
-
-    def leave_out(row: arrow_csv.InvalidRow) -> str:
-        ragged.append(row)
-        return "skip"
-
     body = "\n".join(line for _, line in lines).encode()
-    names = [str(place) for place in range(width)]
-    cells = arrow_csv.read_csv(
-        pa.BufferReader(body),
-        read_options=arrow_csv.ReadOptions(column_names=names, block_size=max(len(body), 1 << 20)),
-        parse_options=arrow_csv.ParseOptions(
-            delimiter=separator,
-            newlines_in_values='"' in body.decode(),
-            invalid_row_handler=leave_out,
-        ),
-        convert_options=arrow_csv.ConvertOptions(
-            column_types=dict.fromkeys(names, pa.large_string()), strings_can_be_null=False
-        ),
-    )
+    records = CsvRecords(body, 0, 1, width, separator)
+    cells, ragged = read_cells(records, [], max(len(body), 1 << 20))
     if ragged:
-        numbers = {line: number for number, line in reversed(lines)}
         raise InputError(
-            [
-                InputIssue(
-                    f"has {pluralize(row.actual_columns, 'cell')}, and the table {width} columns; correct it",
-                    line=numbers.get(row.text),
-                    value=shorten(row.text),
-                )
-                for row in ragged[:3]
-            ]
+            InputIssue(
+                explain_ragged(record, width, separator),
+                line=lines[record.line - 1][0],
+                value=shorten(record.raw.decode()),
+            )
+            for record in records.scan.ragged[:3]
         )
-    return [column.combine_chunks() for column in cells.columns]
+    return records, cells

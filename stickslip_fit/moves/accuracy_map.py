@@ -112,7 +112,7 @@ class AccuracyMap(Summarized):
     def plot(self) -> AxesArray:
         """The error over the plane of the arm, joint 1 at its stop and halfway between its stops."""
         from stickslip_fit.plotting._style import collect_axes
-        from stickslip_fit.plotting.accuracy_map import draw_accuracy_map
+        from stickslip_fit.plotting.accuracy import draw_accuracy_map
 
         return collect_axes(draw_accuracy_map(self))
 

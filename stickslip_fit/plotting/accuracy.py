@@ -1,4 +1,4 @@
-"""Figures of accuracy: held-out errors, worst configurations, and load coefficients of joint 2.
+"""Figures of accuracy: held-out errors, worst configurations, load coefficients of joint 2, the tip's error.
 
 Load coefficients after Figs. 6.2, 6.6 and 6.7 of the thesis.
 """
@@ -23,6 +23,7 @@ from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.result import choose_repeatability
 from stickslip_fit.laws import Elbow
 from stickslip_fit.machine import Machine
+from stickslip_fit.moves.accuracy_map import AccuracyMap
 from stickslip_fit.plotting._style import (
     DIRECTION_COLOURS,
     INK,
@@ -358,3 +359,28 @@ def _draw_law(left: Axes, right: Axes, sessions: list[str], fit: Result) -> None
             colour = DIRECTION_COLOURS[group.direction]
             left.plot(from_si(ends, "mm"), from_si(gamma0, "µrad"), color=colour, lw=0.8, zorder=1)
             right.plot(from_si(ends, "mm"), from_si(d, "µrad"), color=colour, lw=0.8, zorder=1)
+
+
+def draw_accuracy_map(accuracy: AccuracyMap) -> Figure:
+    """A panel with joint 1 at its stop, and one with it halfway between its stops."""
+    panels = [("joint 1 at its stop", accuracy.error)]
+    if np.isfinite(accuracy.error_far).any():
+        panels.append(("joint 1 halfway", accuracy.error_far))
+    radius, height = (from_si(values, "mm") for values in (accuracy.radius, accuracy.height))
+    with report_style():
+        figure, axes = make_figure([2.9], 2, top=TITLE_LINE + 0.14, right=0.6, across=1.05, share_y="none")
+        for axis, (title, error) in zip(axes[0], panels, strict=False):
+            size = from_si(error, "µm")
+            mesh = axis.pcolormesh(
+                radius, height, size, vmin=0.0, shading="gouraud", cmap="viridis_r", rasterized=True
+            )
+            axis.set_title(title)
+            axis.set_xlabel("distance from joint 1's axis (mm)")
+            axis.set_aspect("equal")
+            axis.grid(visible=False)
+            bar = figure.colorbar(mesh, ax=axis, fraction=0.05, pad=0.03)
+            bar.set_label("95 % error of the tip (µm)")
+        axes[0, 0].set_ylabel("height above joint 1 (mm)")
+        for axis in axes[0, len(panels) :]:
+            axis.set_axis_off()
+    return figure

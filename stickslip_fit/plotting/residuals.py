@@ -6,7 +6,7 @@ Periodic findings are drawn folded by their period.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import pandas as pd
@@ -41,7 +41,10 @@ from stickslip_fit.plotting._style import (
     thin_rows,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture, name_traverses
-from stickslip_fit.units import from_si
+from stickslip_fit.units import Z_95, from_si
+
+ColouredRows = Mapping[str, BoolArray]
+"""Which rows are drawn in each colour, shape (n,)."""
 
 FIT_MAX_POINTS = 900  # of a joint
 LIMIT_QUANTILE, FIT_LIMIT_ZOOM = 0.98, 1.6  # of a scale, see `robust_limit`
@@ -219,7 +222,6 @@ def _varies(values: Array) -> bool:
 MAX_POINTS = 500  # a panel
 LIMIT_ZOOM, SMALLEST_LIMIT = 1.35, 0.05  # %
 ENVELOPE_COLOUR = "#dcdcd8"
-Z_95 = 1.96
 N_COLUMNS = 4  # panels side by side
 MIN_LIMIT = 0.01  # %: a law with as many parameters as traverses leaves nothing
 MAX_LIMIT_RATIO = 3.0  # times the residuals after: the scale may cut those before
@@ -293,20 +295,22 @@ def draw_finding(
         sides.insert(0, ("before", comparison.before, comparison.null_before))
     with report_style():
         figure, axes = make_figure([1.5] * len(sides), len(joints), legend, top=TITLE_LINE + 0.14)
-        residuals = 100 * np.abs(np.concatenate([residual for _, residual, _ in sides]))
+        sides = [(name, 100 * residual, 100 * null) for name, residual, null in sides]
+        residuals = np.abs(np.concatenate([residual for _, residual, _ in sides]))
         limit = max(robust_limit(residuals, LIMIT_QUANTILE, LIMIT_ZOOM), SMALLEST_LIMIT)
         masks = [(rows["joint"] == joint).to_numpy() & np.isfinite(values) for joint in joints]
-        for column, (joint, subset) in enumerate(zip(joints, masks, strict=True)):
+        kinds_of = [_by_direction(rows, mask) for mask in masks]
+        for column, (joint, subset, kinds) in enumerate(zip(joints, masks, kinds_of, strict=True)):
             axes[0, column].set_title(joint_name(joint, machine))
             axes[-1, column].set_xlabel(label)
             _set_ticks(axes[-1, column], label, values[subset], 7 if len(joints) < 3 else 4)
             for axis, (_, residual, null) in zip(axes[:, column], sides, strict=True):
-                limit = max(limit, 1.1 * _draw_bin_means(axis, values, residual, null, subset, rows))
+                limit = max(limit, 1.1 * draw_means(axis, values, residual, null, kinds))
             if _is_proposal(selected):
-                _draw_proposal(axes[0, column], values, shape, subset, rows)
-        for axes_of_joint, subset in zip(axes.T, masks, strict=True):
+                draw_effect(axes[0, column], values, 100 * shape, kinds)
+        for axes_of_joint, kinds in zip(axes.T, kinds_of, strict=True):
             for axis, (_, residual, _) in zip(axes_of_joint, sides, strict=True):
-                _draw_points(axis, values, residual, subset, limit, rows)
+                _draw_points(axis, values, residual, kinds, limit, rows)
         for axis, (name, _, _) in zip(axes[:, 0], sides, strict=True):
             axis.set_ylim(-limit, limit)
             axis.set_ylabel(f"{name + ': ' if len(sides) > 1 else ''}residual (%)")
@@ -361,17 +365,6 @@ def _is_proposal(selected: SelectedCause) -> bool:
     return selected.cause == UNKNOWN and selected.version is not None
 
 
-def _draw_proposal(axis: Axes, values: Array, shape: Array, subset: BoolArray, rows: pd.DataFrame) -> None:
-    """The fitted proposal by the classes of the residuals, dashed in each direction."""
-    classes = bin_values(np.where(subset, values, np.nan))
-    for sign in DIRECTION_COLOURS:
-        inside = subset & (rows["direction"] == sign).to_numpy() & (classes >= 0)
-        by_class = (
-            pd.DataFrame({"x": values[inside], "y": 100 * shape[inside]}).groupby(classes[inside]).mean()
-        )
-        axis.plot(by_class["x"], by_class["y"], color=INK, ls="--", lw=1.1, zorder=4)
-
-
 def residuals_overview_picture(joint: int, comparison: ResidualComparison, machine: Machine) -> Picture:
     """A joint's residuals against each quantity that varied."""
     extended = bool(np.any(comparison.before != comparison.after))
@@ -393,7 +386,8 @@ def residuals_overview_picture(joint: int, comparison: ResidualComparison, machi
 
 def draw_residuals_overview(joint: int, comparison: ResidualComparison, machine: Machine) -> Figure:
     """A panel for each quantity."""
-    rows, before, after = comparison.rows, comparison.before, comparison.after
+    rows, before, after = comparison.rows, 100 * comparison.before, 100 * comparison.after
+    null_before, null_after = 100 * comparison.null_before, 100 * comparison.null_after
     subset = (rows["joint"] == joint).to_numpy()
     columns = _select_covariates(rows, subset, machine)
     legend = [entry for entry in _residual_entries() if entry.get_label() != TRAVERSE_LABEL]
@@ -405,10 +399,10 @@ def draw_residuals_overview(joint: int, comparison: ResidualComparison, machine:
         largest, largest_before = 0.0, 0.0
         for axis, (label, values) in zip(axes.ravel(), columns.items(), strict=False):
             kept = subset & np.isfinite(values)
-            size = _draw_bin_means(axis, values, after, comparison.null_after, kept, rows)
-            largest = max(largest, size)
+            kinds = _by_direction(rows, kept)
+            largest = max(largest, draw_means(axis, values, after, null_after, kinds))
             if np.any(before != after):
-                size = _draw_bin_means(axis, values, before, comparison.null_before, kept, rows, dotted=True)
+                size = draw_means(axis, values, before, null_before, kinds, dotted=True)
                 largest_before = max(largest_before, size)
             axis.set_xlabel(label)
             _set_ticks(axis, label, values[kept], 4)
@@ -430,46 +424,56 @@ def _residual_entries() -> list[Line2D]:
 
 
 def _draw_points(
-    axis: Axes, values: Array, residual: Array, subset: BoolArray, limit: float, rows: pd.DataFrame
+    axis: Axes, values: Array, residual: Array, kinds: ColouredRows, limit: float, rows: pd.DataFrame
 ) -> None:
-    for sign, colour in DIRECTION_COLOURS.items():
-        index = np.flatnonzero(subset & (rows["direction"] == sign).to_numpy())
+    for colour, kind in kinds.items():
+        index = np.flatnonzero(kind)
         if len(index) > MAX_POINTS:
             index = np.sort(np.random.default_rng(0).choice(index, MAX_POINTS, replace=False))
-        y = np.clip(100 * residual[index], -limit, limit)
+        y = np.clip(residual[index], -limit, limit)
         (points,) = axis.plot(values[index], y, ls="", marker="o", ms=1.8, mew=0, alpha=0.35, color=colour)
         name_traverses(points, rows.index[index])
 
 
-def _draw_bin_means(
-    axis: Axes,
-    values: Array,
-    residual: Array,
-    null: Array,
-    subset: BoolArray,
-    rows: pd.DataFrame,
-    *,
-    dotted: bool = False,
+def draw_means(
+    axis: Axes, values: Array, residual: Array, null: Array, kinds: ColouredRows, *, dotted: bool = False
 ) -> float:
-    """Means by class, dotted or with their errors over the envelope; the largest size drawn, %."""
-    classes, largest = bin_values(np.where(subset, values, np.nan)), 0.0
+    """Means by class, dotted or with their errors over the envelope; the largest size drawn."""
+    classes, largest = bin_values(_known(values, kinds)), 0.0
     if not dotted:
         axis.axhline(0.0, color=INK, lw=0.7, zorder=1)
-    for sign, colour in DIRECTION_COLOURS.items():
-        in_direction = subset & (rows["direction"] == sign).to_numpy()
-        if not in_direction.any():
+    for colour, kind in kinds.items():
+        if not (kind & (classes >= 0)).any():
             continue
-        binned = bin_residuals(residual, null, values, classes, in_direction)
-        x, y, band = binned.centre, 100 * binned.mean, 100 * binned.envelope
+        binned = bin_residuals(residual, null, values, classes, kind)
+        x, y, band = binned.centre, binned.mean, binned.envelope
         if dotted:
             axis.plot(x, y, color=colour, ls=":", lw=0.9)
             band = np.zeros(len(band))
         else:
-            error = 100 * Z_95 * binned.error
+            error = Z_95 * binned.error
             axis.errorbar(x, y, yerr=error, color=colour, marker="o", ms=3.0, lw=0.9, elinewidth=0.8)
             axis.fill_between(x, -band, band, color=ENVELOPE_COLOUR, lw=0, zorder=0.5)
         largest = max(largest, float(np.max(np.maximum(np.abs(y), band))))
     return largest
+
+
+def draw_effect(axis: Axes, values: Array, effect: Array, kinds: ColouredRows) -> None:
+    """Means of an effect by the classes of the residuals, dashed."""
+    classes = bin_values(_known(values, kinds))
+    for kind in kinds.values():
+        inside = kind & (classes >= 0)
+        means = pd.DataFrame({"x": values[inside], "y": effect[inside]}).groupby(classes[inside]).mean()
+        axis.plot(means["x"], means["y"], color=INK, ls="--", lw=1.1, zorder=4)
+
+
+def _known(values: Array, kinds: ColouredRows) -> Array:
+    return np.where(np.any(list(kinds.values()), axis=0), values, np.nan)
+
+
+def _by_direction(rows: pd.DataFrame, subset: BoolArray) -> ColouredRows:
+    directions = rows["direction"].to_numpy(object)
+    return {colour: subset & (directions == sign) for sign, colour in DIRECTION_COLOURS.items()}
 
 
 def _select_covariates(rows: pd.DataFrame, subset: BoolArray, machine: Machine) -> dict[str, Array]:

@@ -11,7 +11,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stickslip_fit._format import format_plain, format_value, joint_name, pluralize
+from stickslip_fit._format import format_plain, joint_name
 from stickslip_fit.capture.tuning import MAX_RELATIVE_FREQUENCY, MIN_FREQUENCY, Tuning
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.plotting._style import (
@@ -29,7 +29,7 @@ from stickslip_fit.plotting._style import (
     report_style,
     set_log_axis,
 )
-from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture
+from stickslip_fit.plotting._svg import Picture, make_picture
 from stickslip_fit.strategies import Comparison, TipErrors
 from stickslip_fit.studies import SimulationStudy
 from stickslip_fit.units import JOINTS, from_si
@@ -137,26 +137,6 @@ JOINT_COLOURS = dict(zip(JOINTS, (VERMILLION, GREEN, PURPLE), strict=True))
 BOX_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 TIP_LINE_HEIGHT = 0.19  # inches a strategy
 MIN_LENGTH = 1e-8  # m; smaller errors are drawn there
-
-
-def tip_errors_picture(tip_errors: TipErrors) -> Picture:
-    """The distribution of each strategy's errors, and which joint they come from."""
-    summary = tip_errors.distribution().dropna(subset="rms")
-    if summary.empty:
-        return make_missing_picture(
-            TIP_KEY, TIP_TITLE, "It would need a strategy that calibrates every joint that is driven."
-        )
-    n_moves = int((tip_errors.table["strategy"] == summary["strategy"].iloc[0]).sum())
-    best, worst = (
-        f"{format_value(row['often'], 'µm', 1)} with {row['strategy']}"
-        for row in (summary.loc[summary["often"].idxmin()], summary.loc[summary["often"].idxmax()])
-    )
-    caption = (
-        f"{pluralize(n_moves, 'move')} with each strategy's steps. The further left, the better: in one "
-        f"move of twenty the tip is off by more than {best}, and by more than {worst}. Right: what each "
-        "joint has in the mean square."
-    )
-    return make_picture(TIP_KEY, TIP_TITLE, caption, plot_tip_errors(tip_errors))
 
 
 def plot_tip_errors(tip_errors: TipErrors) -> Figure:

@@ -25,8 +25,6 @@ from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.residuals import (
     MAX_BINS,
     ResidualComparison,
-    bin_residuals,
-    bin_values,
     compare_residuals,
     compute_shape,
     explained_share,
@@ -46,11 +44,17 @@ from stickslip_fit.plotting._style import (
     robust_limit,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture
+from stickslip_fit.plotting.residuals import (
+    ENVELOPE_COLOUR,
+    LIMIT_QUANTILE,
+    LIMIT_ZOOM,
+    N_COLUMNS,
+    ColouredRows,
+    draw_effect,
+    draw_means,
+)
 
-MAX_POINTS, FEW_POINTS, N_COLUMNS, MAX_PANELS = 800, 150, 4, 24
-LIMIT_QUANTILE, LIMIT_ZOOM = 0.98, 1.35
-ENVELOPE_COLOUR = "#dcdcd8"
-Z_95 = 1.96
+MAX_POINTS, FEW_POINTS, MAX_PANELS = 800, 150, 24
 MIN_CARRIER_SHARE = 0.5  # of an effect's square; what no column carries so far is drawn over itself
 JITTER = 0.12  # of points of one label, whose values would lie on each other
 FITTED_EFFECT = "effect of the finding, as fitted"
@@ -73,6 +77,11 @@ class _TableRows:
     columns: Mapping[str, Array]
     labels: Mapping[str, str]
     kinds: Mapping[str, BoolArray]
+
+    @property
+    def by_colour(self) -> ColouredRows:
+        """The same by colour."""
+        return dict(zip(_colours(self.kinds).values(), self.kinds.values(), strict=True))
 
 
 def _collect(diagnosis: Diagnosis, table: TableInfo) -> _TableRows:
@@ -219,12 +228,12 @@ def _draw_finding(
             np.abs(np.concatenate([side for _, side, _ in sides])), LIMIT_QUANTILE, LIMIT_ZOOM
         )
         for axis, (name, residual, null) in zip(axes[:, 0], sides, strict=True):
-            drawn = _draw_means(axis, values, residual, null, rows.kinds)
+            drawn = draw_means(axis, values, residual, null, rows.by_colour)
             limit = max(limit, 1.1 * drawn)
             if name in ("before", "without"):
-                _draw_effect(axis, values, shape, rows.kinds)
+                draw_effect(axis, values, shape, rows.by_colour)
         for axis, (name, residual, _) in zip(axes[:, 0], sides, strict=True):
-            _draw_points(axis, values + spread, np.clip(residual, -limit, limit), rows.kinds)
+            _draw_points(axis, values + spread, np.clip(residual, -limit, limit), rows.by_colour)
             axis.set_ylim(-limit, limit)
             what = f"{name}: residual" if len(sides) > 1 else "residual"
             axis.set_ylabel(_axis_label(table, what))
@@ -270,49 +279,9 @@ def _find_carrier_values(
     return label, candidates[label], levels
 
 
-def _draw_means(
-    axis: Axes,
-    values: Array,
-    residual: Array,
-    null: Array,
-    kinds: Mapping[str, BoolArray],
-    *,
-    dotted: bool = False,
-) -> float:
-    """Means by class with their errors over the envelope, or dotted; the largest size drawn."""
-    known = np.isfinite(values)
-    classes, largest = bin_values(np.where(known, values, np.nan)), 0.0
-    if not dotted:
-        axis.axhline(0.0, color=INK, lw=0.7, zorder=1)
-    for label, colour in _colours(kinds).items():
-        if not (kinds[label] & known).any():
-            continue
-        binned = bin_residuals(residual, null, values, classes, kinds[label] & known)
-        if dotted:
-            axis.plot(binned.centre, binned.mean, color=colour, ls=":", lw=0.9)
-            largest = max(largest, float(np.max(np.abs(binned.mean))))
-            continue
-        error = Z_95 * binned.error
-        axis.errorbar(
-            binned.centre, binned.mean, yerr=error, color=colour, marker="o", ms=3.0, lw=0.9, elinewidth=0.8
-        )
-        band = binned.envelope
-        axis.fill_between(binned.centre, -band, band, color=ENVELOPE_COLOUR, lw=0, zorder=0.5)
-        largest = max(largest, float(np.max(np.maximum(np.abs(binned.mean), band))))
-    return largest
-
-
-def _draw_effect(axis: Axes, values: Array, shape: Array, kinds: Mapping[str, BoolArray]) -> None:
-    classes = bin_values(values)
-    for kind in kinds.values():
-        means = pd.DataFrame({"x": values, "y": shape})[kind & (classes >= 0)]
-        grouped = means.groupby(classes[kind & (classes >= 0)]).mean()
-        axis.plot(grouped["x"], grouped["y"], color=INK, ls="--", lw=1.0, zorder=3)
-
-
-def _draw_points(axis: Axes, values: Array, y: Array, kinds: Mapping[str, BoolArray]) -> None:
-    for label, colour in _colours(kinds).items():
-        index = np.flatnonzero(kinds[label] & np.isfinite(values))
+def _draw_points(axis: Axes, values: Array, y: Array, kinds: ColouredRows) -> None:
+    for colour, kind in kinds.items():
+        index = np.flatnonzero(kind & np.isfinite(values))
         if len(index) > MAX_POINTS:
             index = np.sort(np.random.default_rng(0).choice(index, MAX_POINTS, replace=False))
         size, alpha = (3.5, 0.6) if len(index) <= FEW_POINTS else (1.8, 0.3)
@@ -359,12 +328,11 @@ def plot_columns(diagnosis: Diagnosis, table: TableInfo) -> Figure:
         )
         largest = 0.0
         for axis, (label, values) in zip(axes.ravel(), shown, strict=False):
-            largest = max(
-                largest, _draw_means(axis, values, comparison.after, comparison.null_after, rows.kinds)
-            )
+            drawn = draw_means(axis, values, comparison.after, comparison.null_after, rows.by_colour)
+            largest = max(largest, drawn)
             if extended:
                 null = comparison.null_before
-                dotted = _draw_means(axis, values, comparison.before, null, rows.kinds, dotted=True)
+                dotted = draw_means(axis, values, comparison.before, null, rows.by_colour, dotted=True)
                 largest = max(largest, dotted)
             axis.set_xlabel(_fit_label(label, len(axes[0])))
             axis.locator_params(axis="x", nbins=4)

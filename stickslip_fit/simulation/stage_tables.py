@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import sys
 from dataclasses import dataclass
 from math import sqrt
 from pathlib import Path
@@ -19,7 +21,6 @@ from stickslip_fit.laws.physical import INERTIA, MAX_SHARE
 from stickslip_fit.logs.plan_reader import JOINT, Joint
 from stickslip_fit.logs.reader import DIRECTIONS
 from stickslip_fit.logs.schema import ARM_FORMAT, COVARIATE_PREFIX, Condition
-from stickslip_fit.simulation._amounts import parse_quantity
 from stickslip_fit.simulation.schedule import (
     UNITS_OF,
     ByColumn,
@@ -36,6 +37,26 @@ from stickslip_fit.units import JOINTS, PRISMATIC, SUFFIXES, UNITS, to_si
 
 MAX_DAY_TO_DAY = 0.2  # beyond, a session's step sizes might come out negative
 DayToDay = Annotated[float, Quantity(("%",), (0.0, MAX_DAY_TO_DAY))]
+
+
+_AMOUNT = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?) *(.*)")
+
+
+def parse_quantity(entry: Any) -> tuple[float, str]:
+    """Number and unit of a text such as "3 %"; a bare number has the unit 1.
+
+    Examples
+    --------
+    >>> parse_quantity("-0.14 ms"), parse_quantity(3)
+    ((-0.14, 'ms'), (3.0, '1'))
+    """
+    if type(entry) in (int, float) and abs(entry) <= sys.float_info.max:
+        return float(entry), "1"
+    match = _AMOUNT.fullmatch(entry.strip()) if isinstance(entry, str) else None
+    if match is None:
+        raise ValueError("no number")
+    unit = match[2].replace("urad", "µrad").replace("^2", "²")
+    return float(match[1]), unit or "1"
 
 
 def _known_quantity(entry: Any) -> tuple[float, str]:

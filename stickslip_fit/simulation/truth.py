@@ -38,7 +38,6 @@ from stickslip_fit.logs.plan_reader import JOINT, Joint
 from stickslip_fit.logs.reader import DIRECTIONS
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
-from stickslip_fit.simulation._amounts import parse_quantity
 from stickslip_fit.simulation.stage_law import MountedStage, StageLaw
 from stickslip_fit.simulation.stage_tables import (
     AnyStage,
@@ -46,6 +45,7 @@ from stickslip_fit.simulation.stage_tables import (
     DayToDay,
     SimulatedColumn,
     StageTable,
+    parse_quantity,
 )
 from stickslip_fit.units import UNITS, to_si
 

@@ -72,6 +72,11 @@ def test_a_quotation_mark_that_is_never_closed_swallows_nothing_in_silence(sheet
     assert any(told.line == line and "never closed" in told.message for told in found)
 
 
+def test_what_an_open_quotation_mark_swallows_may_be_long(sheet, problems):
+    line = sheet.set(1, "note", '"' + "long " * 40_000)
+    assert any(told.line == line and "never closed" in told.message for told in problems(sheet))
+
+
 def test_a_header_with_a_quotation_mark_that_is_never_closed(sheet, problems):
     (told,) = problems('"' + sheet.text())
     assert told.line == 1

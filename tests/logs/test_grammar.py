@@ -1,18 +1,16 @@
-"""How a cell becomes a number or a time, and a line a record, against Python's own readers."""
+"""How a cell becomes a number or a time, and a line a record, against Python's and pyarrow's own readers."""
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
 from datetime import datetime, timedelta
 
 import pyarrow as pa
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from stickslip_fit.logs._csv import CsvRecords, split_cells
+from stickslip_fit.logs._csv import CsvRecords, read_cells, read_records
 from stickslip_fit.logs._table import parse_numbers, parse_times
 
 quick = settings(max_examples=30, deadline=None)
@@ -66,19 +64,20 @@ def test_every_iso_time_is_read(when, zone):
     assert found.has_zone.tolist() == [bool(zone), False]
 
 
-@given(st.text('ab,"\n\r', max_size=40), st.integers(1, 4))
+@given(st.text('ab,"\n\r', min_size=1, max_size=40), st.integers(1, 4))
 @thorough
-def test_records_are_those_of_the_csv_module(content, width):
-    records = CsvRecords(content.encode(), start=0, first_line=1, width=width)
-    expected, ragged = [], []
-    stream = io.StringIO(content, newline="")
-    reader = csv.reader(stream)
-    line = 1
-    for record in reader:
-        if len(record) == width:
-            expected.append(line)
-        elif record:
-            ragged.append((line, len(record)))
-        line = reader.line_num + 1
-    assert records.scan.lines.tolist() == expected
-    assert [(each.line, len(split_cells(each.text))) for each in records.scan.ragged] == ragged
+def test_records_and_their_lines_are_those_of_pyarrow_and_of_the_file(content, width):
+    def split_lines(text):
+        return re.split("\r\n|\r|\n", text)
+
+    raw = content.encode()
+    records, found = CsvRecords(raw, 0, 1, width), list(read_records(raw, 0, 1, ","))
+    assume(found)
+    cells, ragged = read_cells(records, [], 1 << 20)
+    complete = [record for record in found if len(record.cells) == width]
+    assert [record.cells for record in complete] == [list(row.values()) for row in cells.to_pylist()]
+    assert [record.line for record in complete] == records.scan.lines.tolist()
+    assert [split_lines(content)[record.line - 1] for record in found] == [
+        split_lines(record.raw.decode())[0] for record in found
+    ]
+    assert len(records.scan.ragged) == ragged

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from stickslip_fit.diagnosis.table import read_table
+from stickslip_fit.diagnosis.table_rows import read_table
 from stickslip_fit.errors import InputError
 
 TABLE = pd.DataFrame({"t": [0.0, 0.5, 1.0], "force": [1.25, -2.5, 3.0], "run": ["a", "b", "c, d"]})
@@ -73,8 +73,14 @@ def test_row_names_of_r_are_a_column_without_a_name(tmp_path):
         ("", "is empty"),
         ("0,1\n1,2\n2,3\n", "has no header"),
         ("t,force\n", "has a header and no rows"),
-        ("a,b\n1,2\n# why\n3\n4,5\n", "line 4, value '3': has 1 cell, and the table 2 columns"),
-        ("t;force\n0,5;1.25\n", "with decimal commas, as '0,5', and with points, as '1.25'"),
+        (
+            "a,b\n1,2\n# why\n3\n4,5\n",
+            "line 4, value '3': has 1 cell where the header has 2; fill in what is missing, or add commas",
+        ),
+        (
+            "t;force\n0,5;1.25\n",
+            "column force, value '1.25': has a decimal point, and '0,5' in line 2, column t, a decimal comma",
+        ),
         ("\x1f\x8b", "is packed with gzip"),
         (b"t,force\n\x00\x01", "zero byte"),
     ],

@@ -67,7 +67,7 @@ def test_a_column_that_would_be_overwritten_has_to_be_renamed(rows):
 def test_files_that_are_no_tables(tmp_path):
     for name, content, message in (
         ("empty.csv", "", "is empty"),
-        ("ragged.csv", "a,b\n1,2\n3\n", "line 3, value '3': has 1 cell, and the table 2 columns"),
+        ("ragged.csv", "a,b\n1,2\n3\n", "line 3, value '3': has 1 cell where the header has 2"),
         ("twice.csv", "a,a\n1,2\n", "stands more than once"),
     ):
         path = tmp_path / name

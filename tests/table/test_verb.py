@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 import stickslip_fit as ssf
 from stickslip_fit.cli import app
-from stickslip_fit.diagnosis.table import read_table
+from stickslip_fit.diagnosis.table_rows import read_table
 from tests.table.bench import bench
 
 LAW = """

@@ -1,0 +1,116 @@
+"""The rows of a table as its law and the roles of its columns ask for them, and what was taken for what."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from stickslip_fit._format import join_words
+from stickslip_fit._input import format_path
+from stickslip_fit.causes.cause_formula import CauseFormula
+from stickslip_fit.causes.empty_cells import leave_out_empty
+from stickslip_fit.causes.roles import TableRoles, direction_labels, prepare_rows
+from stickslip_fit.causes.times import read_times
+from stickslip_fit.errors import InputError
+from stickslip_fit.laws import Law
+from stickslip_fit.logs._numbers import with_numbers
+from stickslip_fit.logs.table_file import read_table_file
+from stickslip_fit.units import time_unit_of
+
+PARAMETER_LETTERS = "abcd"  # names of a formula that look like parameters
+
+
+def as_law(law: Any) -> Any:
+    """A law from a formula, or the law itself."""
+    law = Law(law) if isinstance(law, str) else law
+    if not hasattr(law, "bind_table"):
+        raise InputError(f"a law is a formula or a Law, not {type(law).__name__}")
+    return law
+
+
+def find_columns(law: Any, response: str | None, causes: Iterable[Any]) -> list[str]:
+    """Names that may be columns: those of a law and its response, and of causes that are formulas."""
+    left = getattr(law, "left", None)
+    names = [*getattr(law, "names", ()), *(left.names if left is not None else [response or ""])]
+    for cause in causes:
+        if isinstance(cause, CauseFormula):
+            names += [*cause.effect.names, cause.target]
+    return list(dict.fromkeys(filter(None, names)))
+
+
+def read_table(
+    frame: pd.DataFrame | str | Path, sheet: str | None = None
+) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """A table from a DataFrame or a file, with its name, hash and notes as `TableInfo` has them.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is no table, or has no such sheet.
+    """
+    if isinstance(frame, pd.DataFrame):
+        return frame, {"sha256": _hash_frame(frame)}
+    if not isinstance(frame, str | Path):
+        raise InputError(f"a table is a DataFrame or the path of a file, not {type(frame).__name__}")
+    read = read_table_file(frame, sheet)
+    source = {"file": format_path(frame), "sha256": read.sha256, "files": (str(frame),)}
+    return read.frame, source | ({"notes": (read.note,)} if read.note else {})
+
+
+def read_rows(
+    frame: pd.DataFrame | str | Path,
+    sheet: str | None,
+    roles: TableRoles,
+    used: Sequence[str],
+    levels: Sequence[str] = (),
+) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """As `read_table`, without the rows in which a role or a column is empty.
+
+    Columns in `used` are of numbers, those in `levels` of anything.
+    """
+    table, source = read_table(frame, sheet)
+    names = [str(name) for name in table.columns]
+    if len(table) == 0 or len(set(names)) < len(names):
+        prepare_rows(table, roles)  # which says what is wrong
+    numbers = [*used, *filter(None, [roles.position])]
+    texts = [roles.session, roles.direction, roles.group, roles.time, *levels]
+    table = with_numbers(table.set_axis(names, axis=1), numbers)
+    table, notes = leave_out_empty(table, numbers, [name for name in texts if name])
+    return table, source | {"notes": (*source.get("notes", ()), *notes)}
+
+
+def describe_choices(table: pd.DataFrame, roles: TableRoles, law: Any) -> tuple[str, ...]:
+    """What was taken for what where another reading is possible, as sentences."""
+    notes = []
+    labels = direction_labels(table[roles.direction]) if roles.direction in table else ()
+    is_number = bool(labels) and table[roles.direction].dtype.kind in "iuf"
+    are_signs = float(labels[0]) < 0 < float(labels[-1]) if is_number else labels == ("-", "+")
+    if labels and not are_signs:
+        notes.append(f"Of the direction {roles.direction}, {labels[-1]} is + and {labels[0]} is -.")
+    if roles.time in table and (note := read_times(table[roles.time]).note):
+        notes.append(f"Of the time {roles.time}, {note}.")
+    letters = [name for name in getattr(law, "names", ()) if name in PARAMETER_LETTERS and name in table]
+    if letters:
+        columns = "is the column of that name" if len(letters) == 1 else "are the columns of these names"
+        notes.append(f"{join_words(letters)} of the law {columns}, and no parameter.")
+    return tuple(notes)
+
+
+def declared_time_unit(law: Any, table: pd.DataFrame, time: str | None) -> str:
+    """The unit of a time column of numbers: as declared, as its name ends, or seconds."""
+    if time not in table or not pd.api.types.is_numeric_dtype(table[time]):
+        return "s"
+    declared = (getattr(law, "units", None) or {}).get(time)
+    return str(declared) if declared else time_unit_of(str(time))
+
+
+def _hash_frame(frame: pd.DataFrame) -> str:
+    try:
+        cells = pd.util.hash_pandas_object(frame, index=False).to_numpy().tobytes()
+    except TypeError:  # cells such as lists, which a role may not name anyway
+        cells = repr(frame).encode()
+    return hashlib.sha256(cells).hexdigest()
