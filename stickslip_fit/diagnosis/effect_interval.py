@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtrc, gammaln
 
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
@@ -31,6 +32,7 @@ DIFFERENCE_STEP = 1e-3  # of a parameter's scale
 MIN_EXCESS_SD = 2.0  # standard deviations of a chi-square of noise, for effects in alternative forms
 FORM_RANK_TOL, RANK_TOL = 0.05, 1e-10
 MIN_LENGTH = 1e-12
+N_MIXTURE_TERMS = 100  # of a noncentral chi-square, beyond twice the largest one
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,13 +246,12 @@ def strength_interval(z: float, dimensions: float, threshold: float) -> Interval
         return Interval(estimate, low if z > threshold else 0.0, high)
 
     from scipy.optimize import brentq
-    from scipy.stats import ncx2
 
     def cdf(strength: float) -> float:
         """Probability of less than `z`, given detection."""
         # By survival functions: far below the threshold, 1 - cdf would round to 0.
-        detection = max(ncx2.sf(threshold**2, dimensions, strength**2), 1e-300)
-        return 1.0 - float(ncx2.sf(z**2, dimensions, strength**2)) / detection
+        detection = max(noncentral_tail(threshold**2, dimensions, strength**2), 1e-300)
+        return 1.0 - noncentral_tail(z**2, dimensions, strength**2) / detection
 
     def solve(probability: float) -> float:
         if cdf(1e-6) < probability:
@@ -259,3 +260,15 @@ def strength_interval(z: float, dimensions: float, threshold: float) -> Interval
 
     high, middle, low = map(solve, QUANTILES_95)
     return Interval(middle, low, high)
+
+
+def noncentral_tail(x: float, df: float, noncentrality: float) -> float:
+    """Probability that a noncentral chi-square exceeds `x`: the Poisson mixture of central ones.
+
+    All terms are positive, so that the far tail keeps its digits; `scipy.special` has the distribution only, and
+    to import `scipy.stats` takes longer than all intervals of a diagnosis.
+    """
+    half = noncentrality / 2.0
+    extra = np.arange(2 * int(max(x, half)) + N_MIXTURE_TERMS)
+    weight = np.exp(extra * np.log(half) - half - gammaln(extra + 1.0))
+    return float(weight @ chdtrc(df + 2.0 * extra, x))

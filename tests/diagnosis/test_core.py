@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.sparse import csr_array
-from scipy.stats import kstest, multivariate_normal, norm
+from scipy.stats import kstest, multivariate_normal, ncx2, norm
 
 from stickslip_fit.causes import Drift, ThermalWarmUp
-from stickslip_fit.diagnosis.effect_interval import strength_interval
+from stickslip_fit.diagnosis.effect_interval import noncentral_tail, strength_interval
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 from stickslip_fit.diagnosis.linearized import fit_extended, linearize_fit
 from stickslip_fit.diagnosis.memory import AR1, Sequences, sum_lags
@@ -145,6 +145,12 @@ def test_intervals_of_a_strength_cover_given_the_alarm():
         inside = np.array([each.low <= strength <= each.high for each in intervals])
         share = float(np.average(inside, weights=counts))
         assert share == pytest.approx(0.95, abs=0.005 + 3 * np.sqrt(0.05 * 0.95 / len(seen)))
+
+
+@pytest.mark.parametrize("df", [1, 2, 20])
+def test_the_tail_of_a_noncentral_chi_square_keeps_its_digits(df):
+    for x, strength in ((0.1, 1e-6), (16.0, 0.1), (144.0, 1.0), (16.0, 8.0), (144.0, 22.0)):
+        assert noncentral_tail(x, df, strength**2) == pytest.approx(ncx2.sf(x, df, strength**2), rel=1e-12)
 
 
 def test_misfires_are_found_and_heavy_tails_are_none(rows, linearize):
