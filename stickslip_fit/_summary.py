@@ -135,7 +135,9 @@ class Table:
         rows = self.rows[self.short] if self.short is not None else self.rows
         if len(rows) == len(self.rows):
             return self
-        return replace(self, caption=f"{self.caption} ({len(rows)} of {len(self.rows):,} rows)", rows=rows)
+        assert self.short is not None
+        which = "the last" if (self.short.start or 0) < 0 else "the first"
+        return replace(self, caption=f"{self.caption} ({which} {len(rows)} of {len(self.rows):,})", rows=rows)
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,7 @@ def test_predict_says_what_a_plan_will_give(run, log, campaign, tmp_path):
     status, out, err = run("predict", tmp_path / "fit.json", plan, "-o", tmp_path / "counts.csv")
     assert (status, err) == (0, "")
     assert "by the calibration of session 2012-03-06" in out
-    assert "Predicted counts (14 of 60 rows)" in out
+    assert "Predicted counts (the first 14 of 60)" in out
     full = run("predict", tmp_path / "fit.json", plan, "--full")[1]
     shown = [line for line in full.splitlines() if line.startswith("2012-03-20")]
     assert len(shown) == 60

@@ -424,7 +424,8 @@ class DirectionOffset(AddedTerm):
     physics = "Friction, play and hysteresis change their sign with the direction of motion."
     shows_best = "one condition in both directions, again and again"
     sentence = (
-        "The response is {d:higher|lower} by {d} in one direction, and as much the other way in the other"
+        "The response is {d:higher|lower} by {d} where {column} is {forward}, and {d:lower|higher} by as "
+        "much where it is {backward}"
     )
     remedy = "always coming from the same side"
 
@@ -442,6 +443,12 @@ class DirectionOffset(AddedTerm):
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
         return (CauseParameter("d", TableUnit(self.unit), "half the difference of the two directions"),)
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `GenericCause`."""
+        backward, forward = self.labels or ("below 0", "above 0")
+        names = {"column": self.direction, "forward": forward, "backward": backward}
+        return {**super().quantities(sizes), **names}
 
     def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""

@@ -207,7 +207,7 @@ def diagnose_table(
 
     stickslip-fit diagnose-table bench.csv --law 'F ~ M*acc + Fv*vel + Fc*sign(vel)' --time t
 
-    A law file has units and causes as well, and roles of columns under [roles]; an option goes before.
+    A law file has units and causes as well, and roles of columns under [roles], which options replace.
     """
     from stickslip_fit.diagnosis import diagnose_table as diagnose
 

@@ -351,8 +351,8 @@ def explains_tables(diagnosis: Diagnosis) -> list[Table]:
             Column("leaves", "% rms"),
         )
         note = (
-            f"Each by itself, of the {format_percent(size)} rms that have no name: the share of their "
-            "square, and what the cause would take away and leave."
+            f"Each cause by itself, of the {format_percent(size)} rms without a name: the share of its "
+            "square that the cause explains, and the rms that it would take away and leave."
         )
         tables += [Table("The closest causes", columns, rows, note=note)] if rows else []
     return tables

@@ -377,7 +377,7 @@ def latest_control(result: Result) -> pd.DataFrame:
 def format_latest_control(latest: pd.DataFrame) -> str:
     """`latest_control` in words: one sentence, and a line for each parameter out of control."""
     if latest.empty:
-        return f"Whether the latest session is as usual takes {MIN_EARLIER_SESSIONS} earlier ones to say."
+        return f"To say whether the latest session is as usual takes {MIN_EARLIER_SESSIONS} earlier ones."
     session, odd = latest["session"].iloc[-1], latest[latest["surprising"].astype(bool)]
     if odd.empty:
         return f"Session {session} lies where the sessions before it lead one to expect."

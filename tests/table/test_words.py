@@ -128,3 +128,17 @@ def test_a_row_to_check_is_told_with_its_departure_from_what_the_rows_before_for
     (told,) = re.findall(r"row 201 \(\+([\d.]+)\)", " ".join(found.summary().headline))
     assert float(told) == pytest.approx(6.0, abs=0.7)
     assert "what the rows before foretell" in text_of(found)
+
+
+@pytest.mark.parametrize("ways", [("loading", "unloading"), (-2.5, 0.0, 1.5)])
+def test_an_offset_by_direction_says_which_way_the_response_is_higher(ways):
+    """Words stand as they are; of numbers that are more than two the sign counts."""
+    rng = np.random.default_rng(2)
+    way, x = np.resize(np.array(ways, dtype=object), 120), rng.uniform(0.0, 1.0, 120)
+    high = np.resize([-1.0, 1.0] if len(ways) == 2 else [1.0, 0.0, -1.0], 120)
+    frame = pd.DataFrame({"x": x, "y": x + 0.5 * high + 0.1 * rng.standard_normal(120), "way": way})
+    frame = frame.infer_objects()
+    text = text_of(ssf.diagnose_table(frame, "y ~ a + b*x", direction="way", gain=False))
+    said = re.findall(r"(higher|lower) by .+? where (?:way|it) is ([\w ]+)", text)
+    names = ("unloading", "loading") if len(ways) == 2 else ("below 0", "above 0")
+    assert dict(said) == dict(zip(("higher", "lower"), names, strict=True))
