@@ -32,6 +32,7 @@ from stickslip_fit.units import TIME_SPELLINGS
 MAX_BYTES = 2**29
 SAMPLE = 2000  # lines from which the layout is judged
 SEPARATORS = (";", "\t", "|", ",", " ")  # in doubt the first of them; " " stands for any blank space
+LIKELY_SEPARATOR = 0.8  # of the lines that the one has which suits most of them
 COMMENT = "#"
 _SEPARATOR_LINE = re.compile(r"sep=([,;\t|])$", re.IGNORECASE)
 _BLANK = re.compile(r"[ \t]+")
@@ -188,17 +189,32 @@ def _split_one(line: str, separator: str) -> list[str]:
 
 
 def _find_separator(lines: list[str]) -> str:
-    """What gives most lines equally many cells, of more than one."""
-    best, most = ",", 0
+    """What gives most lines equally many cells, of more than one.
+
+    Of some that do so in nearly as many lines, such as blank space within times, the one whose columns have
+    names.
+    """
+    counts: dict[str, int] = {}
     for separator in SEPARATORS:
         if not any(separator in line.strip() for line in lines):
             continue
         numbers = Counter(len(cells) for _, cells in _split(list(enumerate(lines)), separator))
         numbers.pop(1, None)
-        count = max(numbers.values(), default=0)
-        if count > most:
-            best, most = separator, count
-    return best
+        counts[separator] = max(numbers.values(), default=0)
+    most = max(counts.values(), default=0)
+    if not most:
+        return ","
+    likely = [one for one, count in counts.items() if count >= LIKELY_SEPARATOR * most]
+    return max(likely, key=lambda one: (_share_named(lines, one) if likely[1:] else 0.0, counts[one]))
+
+
+def _share_named(lines: list[str], separator: str) -> float:
+    """The share of columns that have a name; 0 without a header."""
+    try:
+        names = _find_layout([cells for _, cells in _split(list(enumerate(lines)), separator)], []).names
+    except InputError:
+        return 0.0
+    return len(_without_empty(names)) / len(names)
 
 
 def _find_layout(rows: list[list[str]], commented: list[str]) -> _Layout:
@@ -207,17 +223,15 @@ def _find_layout(rows: list[list[str]], commented: list[str]) -> _Layout:
     width = max(often, key=lambda width: (often[width], late[width]))
     first = _find_first_row(rows, width)
     names = rows[first - 1] if first else []
-    left_out = []
-    if not _is_header(names, rows[first:], width):
+    units, left_out = _ends_in_units(rows[:first], rows[first:], width), list[str]()
+    if not units and not _is_header(names, rows[first:], width):
         if len(_trim(commented)) == width:
-            names, first, units = commented, first, False
-            before = first
+            names, before = commented, first
         else:
             raise InputError(
                 "has no header: there are no names above its numbers; write the names of its columns there"
             )
     else:
-        units = first > 1 and _are_units(names) and _is_header(rows[first - 2], rows[first:], width)
         names = rows[first - 2] if units else names
         before = first - 2 if units else first - 1
     if before:
@@ -242,7 +256,8 @@ def _find_first_row(rows: list[list[str]], width: int) -> int:
         if any(like[place]) and all(one or not row[k] for one, k in zip(like[place], numeric, strict=False))
     )
     first = next(full, 0)
-    if first and _is_header(rows[first - 1], rows[first:], width):
+    above, body = rows[:first], rows[first:]
+    if first and (_is_header(above[-1], body, width) or _ends_in_units(above, body, width)):
         return first
     half = (
         place for place, row in enumerate(rows) if len(row) >= width and 2 * sum(like[place]) >= len(numeric)
@@ -267,6 +282,11 @@ def _is_header(names: list[str], body: list[list[str]], width: int, years: bool 
     named = [name for name in names if name and (years or not _LIKE_NUMBER.fullmatch(name))]
     filled = sum(any(row[place] for row in body if len(row) > place) for place in range(width))
     return len(named) == len(_without_empty(names)) and len(named) >= max(1, min(filled or width, width) - 1)
+
+
+def _ends_in_units(above: list[list[str]], body: list[list[str]], width: int) -> bool:
+    """Whether the lines above the numbers end in a header and a row of units, not of every column."""
+    return len(above) > 1 and _are_units(above[-1]) and _is_header(above[-2], body, width)
 
 
 def _without_empty(names: list[str]) -> list[str]:

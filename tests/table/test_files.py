@@ -55,6 +55,18 @@ def test_what_laboratories_write_gives_the_same_table(tmp_path, content, note):
     assert note in said if note else not said
 
 
+@pytest.mark.parametrize("above", ["", "Flow bench\n"])
+def test_times_with_a_blank_and_units_of_some_columns_only(tmp_path, above):
+    """A blank in every row separates no cells where another separator gives each column its name."""
+    header = "No.,Time,Pressure,Flow\n,,bar,L/min\n"
+    body = "".join(f"{k},2024-05-31 09:0{k}:00,{k + 0.5},{k + 2}\n" for k in range(5))
+    frame, said = read(tmp_path, above + header + body)
+    assert list(frame) == ["No.", "Time", "Pressure", "Flow"]
+    assert frame["Pressure"].tolist() == [0.5, 1.5, 2.5, 3.5, 4.5]
+    assert "row of units" in said
+    assert ("1 line above the header" in said) == bool(above)
+
+
 def test_text_that_is_no_utf_8_is_windows_1252(tmp_path):
     frame, said = read(tmp_path, "T_°C,µ\n1,2\n2,3\n".encode("latin-1"))
     assert list(frame) == ["T_°C", "µ"]
