@@ -265,8 +265,8 @@ def strength_interval(z: float, dimensions: float, threshold: float) -> Interval
 def noncentral_tail(x: float, df: float, noncentrality: float) -> float:
     """Probability that a noncentral chi-square exceeds `x`: the Poisson mixture of central ones.
 
-    All terms are positive, so that the far tail keeps its digits; `scipy.special` has the distribution only, and the
-    import of `scipy.stats` takes longer than all intervals of a diagnosis.
+    All terms are positive, so that the far tail keeps its digits; `scipy.special` has the distribution only,
+    and the import of `scipy.stats` takes longer than all intervals of a diagnosis.
     """
     half = noncentrality / 2.0
     extra = np.arange(2 * int(max(x, half)) + N_MIXTURE_TERMS)

@@ -256,8 +256,7 @@ def _find_first_row(rows: list[list[str]], width: int) -> int:
         if any(like[place]) and all(one or not row[k] for one, k in zip(like[place], numeric, strict=False))
     )
     first = next(full, 0)
-    above, body = rows[:first], rows[first:]
-    if first and (_is_header(above[-1], body, width) or _ends_in_units(above, body, width)):
+    if first and _is_header(rows[first - 1], rows[first:], width):
         return first
     half = (
         place for place, row in enumerate(rows) if len(row) >= width and 2 * sum(like[place]) >= len(numeric)

@@ -55,7 +55,7 @@ def test_what_laboratories_write_gives_the_same_table(tmp_path, content, note):
     assert note in said if note else not said
 
 
-@pytest.mark.parametrize("above", ["", "Flow bench\n"])
+@pytest.mark.parametrize("above", ["", "Flow bench\nRoom 12\nOperator Kim\n"])
 def test_times_with_a_blank_and_units_of_some_columns_only(tmp_path, above):
     """A blank in every row separates no cells where another separator gives each column its name."""
     header = "No.,Time,Pressure,Flow\n,,bar,L/min\n"
@@ -64,7 +64,7 @@ def test_times_with_a_blank_and_units_of_some_columns_only(tmp_path, above):
     assert list(frame) == ["No.", "Time", "Pressure", "Flow"]
     assert frame["Pressure"].tolist() == [0.5, 1.5, 2.5, 3.5, 4.5]
     assert "row of units" in said
-    assert ("1 line above the header" in said) == bool(above)
+    assert ("3 lines above the header" in said) == bool(above)
 
 
 def test_text_that_is_no_utf_8_is_windows_1252(tmp_path):
