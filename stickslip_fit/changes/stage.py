@@ -81,7 +81,8 @@ def read_stage_difference(changes: Changes) -> StageDifference | None:
     if not changes.significant or not changes.logs[0].machine.has_published_geometry:
         return None
     joints = [joint for joint, law in changes.laws.items() if is_published(law) or isinstance(law, Physical)]
-    drives = [drive for joint in joints for drive in _fit_drives(changes, joint)]
+    fits = dict(pair for joint in joints for pair in _fit_drives(changes, joint))
+    drives = list(fits.values())
     compared = iter(compare_means([one for drive in drives for one in drive.estimates], changes.alpha))
     errors = [np.array([_widen(next(compared)) for _ in drive.estimates]) for drive in drives]
     known = [np.isfinite(own) for own in errors]
@@ -98,12 +99,12 @@ def read_stage_difference(changes: Changes) -> StageDifference | None:
     }
     found, log_posterior = weigh_changes(terms)
     limited = friction_limited([drive.ratios for drive in drives], terms, log_posterior)
-    whole = len(drives) == len({(one.joint, one.direction) for one in changes.changes})
+    is_whole = all((one.joint, one.direction) in fits for one in changes.significant)
     best = found[0].trace
     at = int(np.argmax(log_posterior[best]))
     excess = sum(float(own[:, at].min()) for own in squares[best])
     free = sum(int(own.sum()) + drive.knows_ratio for drive, own in zip(drives, known, strict=True)) - 1
-    return StageDifference(found, find_regime(limited) if whole else "", float(chdtrc(free, excess)))
+    return StageDifference(found, find_regime(limited) if is_whole else "", float(chdtrc(free, excess)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,8 +187,8 @@ class _DriveFits:
         return np.sqrt(variance / variance[self._place])
 
 
-def _fit_drives(changes: Changes, joint: int) -> Iterator[_DriveFits]:
-    """The directions of a joint that both logs determine."""
+def _fit_drives(changes: Changes, joint: int) -> Iterator[tuple[tuple[int, str], _DriveFits]]:
+    """Of the directions of a joint that both logs determine."""
     machine = changes.logs[0].machine
     rows = [log.usable[log.usable["joint"] == joint] for log in changes.logs]
     laws = [physical_law_with(joint, own, machine, (FRICTION_LIMITED, FRICTION_LIMITED)) for own in rows]
@@ -209,7 +210,10 @@ def _fit_drives(changes: Changes, joint: int) -> Iterator[_DriveFits]:
         is_new = np.repeat([False, True], [one.values.shape[1] for one in sessions])
         known = known.all(axis=0)
         if all(known[is_new == side].any(axis=0).all() for side in (False, True)):
-            yield _DriveFits(np.array(ratios), (old[way], new[way]), values, variances, known, is_new)
+            yield (
+                (joint, way),
+                _DriveFits(np.array(ratios), (old[way], new[way]), values, variances, known, is_new),
+            )
 
 
 def _log_likelihood(profile: RatioProfile, spread: float) -> Callable[[Array], Array]:

@@ -20,7 +20,7 @@ from scipy.special import chdtrc, gammaln
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
 from stickslip_fit.diagnosis.hypotheses import compute_changes
-from stickslip_fit.diagnosis.linearized import LinearizedFit, linearize_fit
+from stickslip_fit.diagnosis.linearized import LinearizedFit, RowSubset, linearize_fit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, StructureRemoved, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, compute_cause_jacobian
@@ -182,12 +182,16 @@ def expect_noise(
 
 
 def linearize_unweighted(selection: Selection) -> LinearizedFit:
-    """The laws without causes about their values in the fit with causes, the same noise in all rows."""
+    """The laws without causes about their values in the fit with causes, the same noise in all rows.
+
+    About their own values where a joint would stall at those without the causes.
+    """
     problem = selection.problem
-    parts = [
-        replace(part, values=fitted.values[:, : part.values.shape[1]])
-        for part, fitted in zip(problem.parts, selection.fit.parts, strict=True)
-    ]
+    parts = []
+    for part, fitted in zip(problem.parts, selection.fit.parts, strict=True):
+        values = fitted.values[:, : part.values.shape[1]]
+        predicted, _ = part.law.model(RowSubset(problem.rows, part.rows))(values)
+        parts.append(replace(part, values=values) if np.all(np.isfinite(predicted)) else part)
     return linearize_fit(
         problem.rows, parts, problem.responses, np.ones(len(problem)), shared=problem.n_shared
     )

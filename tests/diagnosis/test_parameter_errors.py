@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import binom
 
 from stickslip_fit.diagnosis import diagnose, effect_interval
-from stickslip_fit.diagnosis.effect_interval import expected_covariance
+from stickslip_fit.diagnosis.effect_interval import expected_covariance, linearize_unweighted
 from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.finding import shown_size
+from stickslip_fit.diagnosis.problem import problem_from_log
 from tests.hidden.gain_study import read as read_hidden
 from tests.hidden.generate import UnreachableError, hide
 from tests.hidden.study import DESIGNS, NOISES
@@ -68,3 +70,17 @@ def test_intervals_of_parameters_hold_their_truth():
         inside.append(size.low <= truth[SIZES[cause]] <= size.high)
     assert len(inside) > 200
     assert binom.ppf(0.001, len(inside), 0.93) <= sum(inside) <= binom.ppf(0.999, len(inside), 0.97)
+
+
+def test_laws_that_stall_without_their_causes_are_linearized_about_their_own_values():
+    """A cause may hold up a joint that would stand still without it at the values that both have together."""
+    problem, _ = problem_from_log(read_hidden(hide("session", seed=3)), [])
+    joint3 = [part.law.joint == 3 for part in problem.parts]
+    stalled = [
+        replace(part, values=part.values * ([1.0, 1.0, 9.0] if own else 1.0))
+        for part, own in zip(problem.parts, joint3, strict=True)
+    ]
+    found = linearize_unweighted(SimpleNamespace(problem=problem, fit=SimpleNamespace(parts=stalled)))
+    same = linearize_unweighted(SimpleNamespace(problem=problem, fit=SimpleNamespace(parts=problem.parts)))
+    assert any(joint3)
+    np.testing.assert_allclose(found.residual, same.residual, atol=1e-12)

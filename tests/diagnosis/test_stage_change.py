@@ -15,7 +15,13 @@ from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis._stage_summary import describe_reading, stage_sections
 from stickslip_fit.diagnosis.extension import open_changes
 from stickslip_fit.diagnosis.hypotheses import compute_changes, make_hypothesis
-from stickslip_fit.diagnosis.stage_change import StageChange, StageReading, order_changes, read_stage
+from stickslip_fit.diagnosis.stage_change import (
+    StageChange,
+    StageReading,
+    _combine,
+    order_changes,
+    read_stage,
+)
 from stickslip_fit.diagnosis.stage_fingerprint import StageEffects, fit_changes
 from stickslip_fit.laws.physical import PhysicalElbow, PhysicalPrismatic
 from stickslip_fit.step import step_size
@@ -79,6 +85,20 @@ def test_a_change_that_takes_some_loads_into_the_other_regime_is_found():
     assert best["ramp time"].deviance < chi2.ppf(0.999, n - 4)
     assert np.exp(best["ramp time"].size[0]) == pytest.approx(1.1, abs=0.005)
     assert min(fits["friction"].deviance for fits in found.fits) > best["ramp time"].deviance + 30
+
+
+def test_laws_of_more_parameters_are_no_likelier_for_them(read):
+    """Joint 2's friction-limited law has an inertia in every session, its velocity-limited one none."""
+    hidden = drive_stage("many", Stage("velocity"), "friction:humidity", 0.1, seed=16049)
+    log = read(hidden.table[hidden.table["joint"] == 2], "many.csv")
+    limited = []
+    for way in "+-":
+        rows = log.usable[log.usable["direction"] == way].reset_index(drop=True)
+        course = rows["humidity"].to_numpy() - rows["humidity"].mean()
+        data = np.log(rows["steps"].to_numpy(float)), 0.0 * course, np.full(len(rows), 0.003)
+        found = fit_changes(2, way, rows, log.machine, *data, course / np.abs(course).max())
+        limited.append(_combine(("humidity",), [found], ()).fingerprint["friction_limited"][0])
+    assert max(limited) < 0.05
 
 
 CASES = {  # change: quantities that it may be, what it is called
