@@ -23,7 +23,7 @@ from stickslip_fit.units import Interval
 def withdraw(diagnosis, effect=None):
     """The diagnosis if its cause had doubled the error on held-out rows."""
     (finding,) = diagnosis.findings
-    poor = replace(finding, gain=replace(finding.gain, extended=2.0 * finding.gain.baseline))
+    poor = replace(finding, gain=replace(finding.gain, extended=2.0 * finding.gain.baseline, given_before=()))
     poor = replace(poor, effect=effect or poor.effect)
     selection, findings = withdraw_causes(diagnosis.selection, [poor], [poor], diagnosis.table)
     return replace(diagnosis, findings=findings, selection=selection, verdict="unknown cause")

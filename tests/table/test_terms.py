@@ -60,7 +60,7 @@ def test_what_follows_two_columns_is_proposed_for_both_and_predicts(tmp_path):
         ("unknown", "x"),
         ("unknown", "z"),
     }
-    assert f"Besides that: y follows {second.carrier}" in diagnosis.summary().headline[1]
+    assert f"of y follows {second.carrier}" in diagnosis.summary().headline[1]
     assert "unknown: proposed term and unknown: smooth function" in diagnosis.summary().headline[2]
     assert first.gain.extended == second.gain.baseline > second.gain.extended == diagnosis.gain.extended
     fit = diagnosis.extended_law()
