@@ -101,13 +101,32 @@ def read_table_file(path: str | Path, sheet: str | None = None) -> TableFile:
 
 
 def _read_workbook(raw: bytes, sheet: str | None) -> tuple[pd.DataFrame, list[str]]:
-    cells = pd.read_excel(io.BytesIO(raw), sheet_name=sheet or 0, header=None, dtype=object)
+    with pd.ExcelFile(io.BytesIO(raw)) as workbook:
+        names = [str(name) for name in workbook.sheet_names]
+        if sheet is not None and sheet not in names:
+            raise InputError(f"has no sheet {sheet!r}, but {_quote(names)}; name one of these")
+        chosen = sheet or names[0]
+        cells = pd.read_excel(workbook, sheet_name=chosen, header=None, dtype=object)
+    others = [name for name in names if name != chosen]
     cells = cells.dropna(how="all").reset_index(drop=True)
     shown = cells.head(SAMPLE).map(lambda cell: "" if pd.isna(cell) else str(cell))
-    layout = _find_layout([list(row) for row in shown.to_numpy()], [])
+    try:
+        if cells.empty:
+            raise InputError("is empty; name a table with a header and rows")
+        layout = _find_layout([list(row) for row in shown.to_numpy()], [])
+    except InputError as error:
+        if not others:
+            raise
+        choice = f"or name {_quote(others)} as the sheet"
+        raise InputError(f"sheet {chosen!r} {error.problems[0].message}, {choice}") from None
     body = cells.iloc[layout.first :].reset_index(drop=True)
     body = body.set_axis(layout.names, axis=1).infer_objects()
-    return _without_unnamed(body), layout.left_out
+    read = [f"sheet {chosen!r}, and not {_quote(others)}"] if others and sheet is None else []
+    return _without_unnamed(body), [*read, *layout.left_out]
+
+
+def _quote(names: Sequence[str]) -> str:
+    return join_words([repr(name) for name in names])
 
 
 def _read_text(raw: bytes, file: str) -> tuple[pd.DataFrame, list[str]]:

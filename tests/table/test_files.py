@@ -116,6 +116,25 @@ def test_a_workbook_gives_the_same_table(tmp_path):
     pd.testing.assert_frame_equal(read_table(path)[0], TABLE)
 
 
+@pytest.mark.parametrize(
+    ("sheet", "told"),
+    [
+        (None, r"sheet 'Notes' is empty; .*, or name 'Data' and 'Raw' as the sheet"),
+        ("Raw", "has no header"),
+        ("Day", "has no sheet 'Day', but 'Notes', 'Data' and 'Raw'; name one of these"),
+    ],
+)
+def test_of_a_workbook_whose_sheet_is_no_table_the_other_sheets_are_named(tmp_path, sheet, told):
+    path = tmp_path / "bench.xlsx"
+    with pd.ExcelWriter(path) as workbook:
+        pd.DataFrame().to_excel(workbook, sheet_name="Notes")
+        NUMBERS.to_excel(workbook, sheet_name="Data", index=False)
+        NUMBERS.to_excel(workbook, sheet_name="Raw", index=False, header=False)
+    with pytest.raises(InputError, match=told):
+        read_table(path, sheet=sheet)
+    pd.testing.assert_frame_equal(read_table(path, sheet="Data")[0], NUMBERS)
+
+
 def test_a_workbook_may_have_a_title_and_units(tmp_path):
     pytest.importorskip("openpyxl")
     path = tmp_path / "bench.xlsx"

@@ -142,7 +142,7 @@ def test_a_table_is_read_from_the_sheet_that_is_named(desk):
     other = run("bench.xlsx", "--law", "friction.toml", "--sheet", "Cover")
     assert str(other.exception).endswith("its columns are note")
     for file, sheet, told in (
-        ("bench.xlsx", "Date", "Worksheet named 'Date' not found"),
+        ("bench.xlsx", "Date", "has no sheet 'Date', but 'Cover' and 'Data'"),
         ("bench.csv", "Data", "is no Excel workbook, and has no sheets; leave the sheet out"),
     ):
         with pytest.raises(ssf.InputError, match=told):
