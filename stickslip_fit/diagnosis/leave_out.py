@@ -346,6 +346,8 @@ class Look:
                 part = blocks, coordinates[:, blocks.columns], along[blocks.columns]
                 of_width.setdefault(blocks.root_share.shape[1], []).append(part)
         spectra = [_spectra(*zip(*parts, strict=True)) for parts in of_width.values()]
+        if not spectra:  # nothing is left to test but memory
+            spectra = [(np.zeros(0, dtype=np.intp), np.zeros((0, 1)), np.zeros((0, 1)))]
         owner, variance, squares = (
             np.concatenate([one.ravel() for one in parts]) for parts in zip(*spectra, strict=True)
         )

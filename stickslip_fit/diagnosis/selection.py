@@ -188,6 +188,7 @@ def select_causes(
             if chosen[-1].version is None:
                 selected = chosen
                 break
+        ends = sum(one.cause == UNKNOWN for one in chosen) == problem.max_unknown
         extension = refits.extensions.get(following.cause) or extend_problem(problem, chosen)
         if selected and following.cause != UNKNOWN:
             revised = revise_causes(extension[0], chosen)
@@ -195,6 +196,9 @@ def select_causes(
             if [(one.cause, one.version) for one in revised] != [(one.cause, one.version) for one in chosen]:
                 extension = extend_problem(extension[0], revised)
             chosen = revised
+        if ends and not selected:  # nothing follows, and nothing else could be needless
+            selected, (problem, fit, linearized) = chosen, extension
+            break
         last = assess(extension, chosen)
         is_named = chosen[-1].cause != UNKNOWN
         if is_named and (exchange := find_exchange(problem, chosen, extension, last, refits, level)):
@@ -205,6 +209,8 @@ def select_causes(
                 combinations.append((exchange.first.cause, *exchange.others))
         selected = chosen
         problem, fit, linearized = extension
+        if ends:
+            break
     while len(selected) > 1 and last.p_value >= level:
         for others, extension in find_needless(problem, selected, fit, first.critical_value(level)):
             if (without := assess(extension, others)).p_value >= level:

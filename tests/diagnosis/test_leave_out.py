@@ -122,6 +122,17 @@ def test_with_a_cause_in_the_law_the_evidence_is_that_of_a_log_without_the_rows(
     assert without.log_evidence == pytest.approx(expected.log_evidence, abs=1e-6)
 
 
+def test_where_nothing_but_memory_is_left_to_test_its_evidence_is_that_without_the_rows(problem):
+    only = replace(problem, causes=(), alternatives=lambda study: alternatives(study)[-2:])
+    rows = np.arange(2, len(problem), 7)
+
+    def assess(problem):
+        return assess_residuals(problem.linearize(), problem, 0, np.random.default_rng(0))
+
+    expected = assess(only.select_rows(np.setdiff1d(np.arange(len(problem)), rows)))
+    assert Look(assess(only)).without(rows).log_evidence == pytest.approx(expected.log_evidence, abs=1e-6)
+
+
 def test_a_refit_loses_rows_as_if_it_were_repeated_without_them(problem):
     cause = next(one for one in problem.causes if one.name == "drift")
     version = cause.trials(problem.rows)[0][0]
