@@ -429,7 +429,8 @@ class Looks:
         self.critical = selection.first_misfit.critical_value(allocate_alpha(alpha))
         self.last_critical = selection.last_misfit.critical_value(allocate_alpha(alpha))
         self.naming = [Look(one.misfit) for one in selection.law_causes if one.misfit is not None]
-        self.last = Look(selection.last_misfit)
+        last = selection.last_misfit  # which named what the search of a log ends with
+        self.last = next((look for look in self.naming if look.misfit is last), None) or Look(last)
         self._refits: dict[tuple[str, str | None], Refit] = {}
 
     def select_without(self, rows: IntArray) -> list[SelectedCause] | None:
@@ -447,7 +448,9 @@ class Looks:
                 selected.append(replace(one, version=None, start=np.zeros(0)))
             else:
                 selected.append(look.select(one.cause, without, rows))
-        return selected if self._is_last(self.last.without(rows)) else None
+        if not self.naming or self.naming[-1] is not self.last:
+            without = self.last.without(rows)
+        return selected if self._is_last(without) else None
 
     def _is_clear(self, look: Look, without: Misfit, selected: SelectedCause, rows: IntArray) -> bool:
         cause = selected.cause
