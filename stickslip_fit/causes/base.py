@@ -267,7 +267,7 @@ class FactorCause(Cause):
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: a factor that is constant along a traverse divides its steps."""
-        before, row = extend_by(law, ()), self.row_values(law, rows)
+        before, row = extend(law), self.row_values(law, rows)
         if self.under(before.law) is not self:
             return super().changes(law, rows, values, trials)
         ends = state_at(law.joint, row, np.stack([row["start"], row["stop"]], axis=-1))
@@ -351,7 +351,7 @@ class ExtendedLaw(StepLaw):
         """See `StepLaw.prismatic`."""
         return self.law.prismatic
 
-    @property
+    @cached_property
     def affects_joint(self) -> BoolArray:
         """Which parameters have an effect on this joint, shape (p,)."""
         affects = np.arange(len(self.parameters)) < len(self.law.parameters)
@@ -372,14 +372,13 @@ class ExtendedLaw(StepLaw):
         slopes = [*np.moveaxis(by_law, -1, 0), *np.zeros((len(self.cause_parameters), len(values), 1))]
         for columns, by_factor in self._factor_slopes(true, values):
             slopes[columns.start : columns.stop] = before * by_factor
-        gamma_by_kind: dict[type[Any], Callable[[Array], Array]] = {
-            StateCause: lambda shifted: self.gamma(state, shifted),
-            TermCause: lambda shifted: self._before_factors(true, shifted) * factor,
-        }
-        for kind, function in gamma_by_kind.items():
-            for _, columns in self.by_stage[kind]:
-                for k in columns:
-                    slopes[k] = self.difference(function, values, k)
+        for k in self._concerned(StateCause):
+            slopes[k] = self.difference(lambda shifted: self.gamma(state, shifted), values, k)
+        if concerned := self._concerned(TermCause):
+            free = self._free(true, values)
+            for k in concerned:
+                terms_slope = self.difference(lambda shifted: self._terms(free, true, shifted), values, k)
+                slopes[k] = terms_slope * factor
         return np.stack(np.broadcast_arrays(*slopes), axis=-1)
 
     def true_state(self, state: State, values: Array) -> State:
@@ -397,10 +396,21 @@ class ExtendedLaw(StepLaw):
 
     def _before_factors(self, true: State, values: Array) -> Array:
         """The law and the terms added to it."""
-        law_values = values[:, : len(self.law.parameters)]
-        gamma, terms = self.law.gamma(true, law_values), self.by_stage[TermCause]
-        free = self.law.gamma(_unload(true), law_values) if terms else gamma
-        return gamma + sum(cause.term(free, true, _split(values, columns)) for cause, columns in terms)
+        gamma = self.law.gamma(true, values[:, : len(self.law.parameters)])
+        has_terms = bool(self.by_stage[TermCause])
+        return gamma + self._terms(self._free(true, values), true, values) if has_terms else gamma
+
+    def _terms(self, free: Array, true: State, values: Array) -> Array:
+        terms = self.by_stage[TermCause]
+        return sum((cause.term(free, true, _split(values, columns)) for cause, columns in terms), 0.0 * free)
+
+    def _free(self, true: State, values: Array) -> Array:
+        """The law's step size without load."""
+        return self.law.gamma(_unload(true), values[:, : len(self.law.parameters)])
+
+    def _concerned(self, kind: type[Any]) -> list[int]:
+        """The parameters of one kind of causes that have an effect on this joint."""
+        return [k for _, columns in self.by_stage[kind] for k in columns if self.affects_joint[k]]
 
     def _factor(self, true: State, values: Array) -> Array:
         factor = np.ones((len(values), 1))
@@ -431,9 +441,7 @@ class ExtendedLaw(StepLaw):
         law_values = values[:, : len(self.law.parameters)]
         slopes, terms = self.law.gamma_slopes(true, law_values), self.by_stage[TermCause]
         if terms:
-            unloaded = _unload(true)
-            free = self.law.gamma(unloaded, law_values)
-            free_slopes = self.law.gamma_slopes(unloaded, law_values)
+            free, free_slopes = self._free(true, values), self.law.gamma_slopes(_unload(true), law_values)
             for cause, columns in terms:
                 sizes, step = _split(values, columns), DIFFERENCE_STEP * free
                 rise = cause.term(free + step, true, sizes) - cause.term(free - step, true, sizes)
@@ -448,7 +456,7 @@ class ExtendedLaw(StepLaw):
         lower[:, k] -= step
         return (function(upper) - function(lower)) / (2 * step)
 
-    @property
+    @cached_property
     def sizes(self) -> Array:
         """A size of each of the causes' parameters that matters, shape (q,)."""
         return np.array([size for cause in self.causes for size in cause.scale], dtype=float)
@@ -466,11 +474,8 @@ class ExtendedLaw(StepLaw):
 
     def panel(self, values: Array) -> float:
         """`max_panel` for given values, shape (n, p)."""
-        panels = (
-            cause.panel(values[:, columns.start : columns.stop], self.joint)
-            for cause, columns in self.active_causes
-        )
-        return min([self.law.max_panel, *panels])
+        own = ((cause, values[:, columns.start : columns.stop]) for cause, columns in self.active_causes)
+        return min([self.law.max_panel, *(cause.panel(some, self.joint) for cause, some in own)])
 
     @cached_property
     def varies_along_traverse(self) -> bool:
@@ -582,13 +587,8 @@ def _unload(state: State) -> State:
     return state.with_changes(override_load=zero, override_recoil=zero)
 
 
-def extend(law: StepLaw, cause: Cause) -> ExtendedLaw:
-    """A law, published or extended, with one more cause, which is bound to a log."""
-    return extend_by(law, (cause,))
-
-
-def extend_by(law: StepLaw, causes: Sequence[Cause]) -> ExtendedLaw:
-    """A law with any number of further causes, also none."""
+def extend(law: StepLaw, *causes: Cause) -> ExtendedLaw:
+    """A law, published or extended, with further causes, which are bound to a log."""
     if isinstance(law, ExtendedLaw):
         return ExtendedLaw(law.law, (*law.causes, *causes))
     return ExtendedLaw(law, causes)

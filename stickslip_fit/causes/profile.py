@@ -17,7 +17,7 @@ from scipy.special import gammaincinv
 
 from stickslip_fit._format import format_direction, join_words
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.base import Cause, FactorCause, extend_by
+from stickslip_fit.causes.base import Cause, FactorCause, extend
 from stickslip_fit.causes.parameters import CauseParameter, Row, SizedParameter, collect_row_values
 from stickslip_fit.causes.smooth import LENGTHS, LinearFactor, cosines, prior_sds, rough_prior_sds
 from stickslip_fit.laws import State, StepLaw, state_at
@@ -188,7 +188,7 @@ class AlongTravel(LinearFactor):
 
     def _mean_functions(self, law: StepLaw, rows: Row, values: Array) -> Array:
         """Derivative of each response by each parameter, all 0: a mean along the traverse, less; (n, q)."""
-        before = extend_by(law, ())
+        before = extend(law)
         row = collect_row_values(rows, before.columns)
         start, stop = row["start"][:, None], row["stop"][:, None]
         places = (np.arange(N_PIECES) + 0.5) / N_PIECES

@@ -29,6 +29,9 @@ RANK_TOL = 1e-6  # singular values of a block's Jacobian, relative to the larges
 MAX_LEVERAGE = 0.8  # for division by 1 - leverage: residuals of rows above it are mostly rounding
 OFFSET_TOL = 3e-3  # standard errors before the last step
 MAX_STEPS = 100
+LEAST_FALL = (
+    0.01  # of a fit: causes that cannot do what the data ask for creep to the end of the law's domain
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -372,7 +375,8 @@ def fit_extended(
     lower[last] = [parameter.lower for cause in causes for parameter in cause.parameters]
     upper[last] = [parameter.upper for cause in causes for parameter in cause.parameters]
     sharing = share_with_all(np.arange(widest + shared) >= widest, blocks)
-    options: Any = {"lower": lower, "upper": upper, "offset_tol": OFFSET_TOL, "most": MAX_STEPS}
+    bounds: Any = {"lower": lower, "upper": upper}
+    options: Any = bounds | {"offset_tol": OFFSET_TOL, "least_fall": LEAST_FALL, "most": MAX_STEPS}
     y, weight = np.append(responses, np.zeros(len(penalised))), 1.0 / prior_sd[penalised] ** 2
     data = (
         (model, y, np.append(1.0 / scale**2, weight))

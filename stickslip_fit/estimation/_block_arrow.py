@@ -84,6 +84,7 @@ def solve_block_arrow(
     upper: Array | float = np.inf,
     tolerance: float = 1e-8,
     offset_tol: float = OFFSET_TOL,
+    least_fall: float = 0.0,
     most: int = 2000,
 ) -> Minimum:
     """Minimize the sum of weight (y - model)^2 over each group's own and the shared parameters.
@@ -103,6 +104,8 @@ def solve_block_arrow(
     offset_tol : float, optional
         A set has also converged where the relative offset, about the distance to the minimum in standard
         errors, is less than this.
+    least_fall : float, optional
+        A set is given up where the sum of squares falls by a smaller share in `PATIENCE` iterations.
 
     Returns
     -------
@@ -112,7 +115,9 @@ def solve_block_arrow(
     """
     low, high = np.broadcast_to(lower, scales.shape), np.broadcast_to(upper, scales.shape)
     scales, tolerances = sharing.averaged(scales), (RANK_TOL, tolerance, offset_tol)
-    objective = _BlockArrow(model, y, weight, groups, scales, low, high, *tolerances, sharing=sharing)
+    objective = _BlockArrow(
+        model, y, weight, groups, scales, low, high, *tolerances, least_fall=least_fall, sharing=sharing
+    )
     return search(objective, sharing.averaged(start), 0.0, most)
 
 

@@ -276,6 +276,7 @@ REL_OFFSET_TOL = 1e-6
 DAMPING_UP, DAMPING_DOWN, FIRST_DAMPING, MAX_DAMPING = 2.0, 3.0, 1e-2, 1e20
 # In large logs the search leaves converged groups out once these have most of the rows.
 MIN_ROWS_FRACTION, MIN_ROWS = 0.5, 1000
+PATIENCE = 15  # iterations
 
 
 @dataclass(frozen=True)
@@ -380,7 +381,8 @@ class Factors(Protocol):
 class Objective:
     """The sums of squares of g groups of n rows, and the accuracy of their minimum; see `minimize`.
 
-    What can only move together is a unit: here each group by itself.
+    What can only move together is a unit: here each group by itself. One whose sum of squares falls by a
+    smaller share than `least_fall` in `PATIENCE` iterations is given up.
     """
 
     model: Model
@@ -394,6 +396,7 @@ class Objective:
     tolerance: float
     offset_tol: float = 0.0
     subset: RowSubsetModel | None = None
+    least_fall: float = 0.0
 
     @property
     def sizes(self) -> IntArray:
@@ -499,7 +502,12 @@ def search(objective: Objective, start: Array, damping: float, most: int) -> Min
 
 
 def _iterate(objective: Objective, state: _State, most: int) -> Minimum:
+    before = np.full(len(state.damping), np.inf)
     for iteration in range(most):
+        if objective.least_fall and iteration % PATIENCE == 0:
+            cost = objective.of_unit(state.here.cost)
+            stuck = cost > (1.0 - objective.least_fall) * before
+            state, before = replace(state, diverged=state.diverged | (stuck & ~state.converged)), cost
         active = state.active
         if not active.any():
             return _build_minimum(objective, state, iteration)

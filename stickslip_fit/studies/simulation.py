@@ -16,8 +16,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, Int64Array, IntArray
-from stickslip_fit.causes import ExtendedLaw
-from stickslip_fit.causes.base import extend_by
+from stickslip_fit.causes import ExtendedLaw, extend
 from stickslip_fit.estimation.noise import configuration_columns
 from stickslip_fit.laws import StepLaw, observed_count, traverse_length
 from stickslip_fit.logs.plan import Plan, PlannedSession
@@ -187,7 +186,7 @@ def draw_truths(
     laws, values, factor = {}, {}, {}
     for joint in sorted(rows["joint"].unique()):
         subset, law = rows[rows["joint"] == joint], study.truth.laws[joint]
-        laws[int(joint)] = extend_by(law, scenario.causes) if scenario.causes else law
+        laws[int(joint)] = extend(law, *scenario.causes) if scenario.causes else law
         for direction in ("+", "-"):
             pair = int(joint), direction
             nominal, shared = _nominal_parameters(study, subset, pair)
