@@ -239,7 +239,12 @@ class StateCause(Cause):
 
 
 class TermCause(Cause):
-    """A cause that adds to the step size, outside recoil's factor."""
+    """A cause that adds to the step size, as a rule outside recoil's factor."""
+
+    def unload(self, state: State) -> State:
+        """The state in which the law's step size is `free`."""
+        zero = np.zeros((len(state.position), 1))
+        return state.with_changes(override_load=zero, override_recoil=zero)
 
     @abstractmethod
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
@@ -248,7 +253,7 @@ class TermCause(Cause):
         Parameters
         ----------
         free : array, shape (n, k) or (n, 1)
-            Step size without load and recoil.
+            Step size in the state of `unload`: without load and recoil.
         state : State
         values : list of array, each shape (n, 1)
         """
@@ -377,7 +382,7 @@ class ExtendedLaw(StepLaw):
         if concerned := self._concerned(TermCause):
             free = self._free(true, values)
             for k in concerned:
-                terms_slope = self.difference(lambda shifted: self._terms(free, true, shifted), values, k)
+                terms_slope = self.difference(lambda shifted: self._terms(true, shifted, free), values, k)
                 slopes[k] = terms_slope * factor
         return np.stack(np.broadcast_arrays(*slopes), axis=-1)
 
@@ -397,16 +402,18 @@ class ExtendedLaw(StepLaw):
     def _before_factors(self, true: State, values: Array) -> Array:
         """The law and the terms added to it."""
         gamma = self.law.gamma(true, values[:, : len(self.law.parameters)])
-        has_terms = bool(self.by_stage[TermCause])
-        return gamma + self._terms(self._free(true, values), true, values) if has_terms else gamma
+        return gamma + self._terms(true, values, self._free(true, values))
 
-    def _terms(self, free: Array, true: State, values: Array) -> Array:
-        terms = self.by_stage[TermCause]
-        return sum((cause.term(free, true, _split(values, columns)) for cause, columns in terms), 0.0 * free)
+    def _terms(self, true: State, values: Array, free: list[Array]) -> Array:
+        terms, total = zip(self.by_stage[TermCause], free, strict=True), np.zeros((len(values), 1))
+        for (cause, columns), own in terms:
+            total = total + cause.term(own, true, _split(values, columns))
+        return total
 
-    def _free(self, true: State, values: Array) -> Array:
-        """The law's step size without load."""
-        return self.law.gamma(_unload(true), values[:, : len(self.law.parameters)])
+    def _free(self, true: State, values: Array) -> list[Array]:
+        """What each term has as the law's step size without load."""
+        law_values = values[:, : len(self.law.parameters)]
+        return [self.law.gamma(cause.unload(true), law_values) for cause, _ in self.by_stage[TermCause]]
 
     def _concerned(self, kind: type[Any]) -> list[int]:
         """The parameters of one kind of causes that have an effect on this joint."""
@@ -439,13 +446,12 @@ class ExtendedLaw(StepLaw):
     def _law_slopes(self, true: State, values: Array) -> Array:
         """Derivatives of `_before_factors` by the law's own parameters; terms follow the free step size."""
         law_values = values[:, : len(self.law.parameters)]
-        slopes, terms = self.law.gamma_slopes(true, law_values), self.by_stage[TermCause]
-        if terms:
-            free, free_slopes = self._free(true, values), self.law.gamma_slopes(_unload(true), law_values)
-            for cause, columns in terms:
-                sizes, step = _split(values, columns), DIFFERENCE_STEP * free
-                rise = cause.term(free + step, true, sizes) - cause.term(free - step, true, sizes)
-                slopes = slopes + (rise / (2 * step))[..., None] * free_slopes
+        slopes, frees = self.law.gamma_slopes(true, law_values), self._free(true, values)
+        for (cause, columns), free in zip(self.by_stage[TermCause], frees, strict=True):
+            sizes, step = _split(values, columns), DIFFERENCE_STEP * free
+            rise = cause.term(free + step, true, sizes) - cause.term(free - step, true, sizes)
+            free_slopes = self.law.gamma_slopes(cause.unload(true), law_values)
+            slopes = slopes + (rise / (2 * step))[..., None] * free_slopes
         return slopes
 
     def difference(self, function: Callable[[Array], Array], values: Array, k: int) -> Array:
@@ -580,11 +586,6 @@ class ExtendedLaw(StepLaw):
 def _split(values: Array, columns: range) -> list[Array]:
     """A cause's own values, each of shape (n, 1)."""
     return [values[:, k, None] for k in columns]
-
-
-def _unload(state: State) -> State:
-    zero = np.zeros((len(state.position), 1))
-    return state.with_changes(override_load=zero, override_recoil=zero)
 
 
 def extend(law: StepLaw, *causes: Cause) -> ExtendedLaw:

@@ -64,11 +64,14 @@ class SideLoad(FactorCause):
         return 1.0 - values[0] * np.sqrt(np.maximum(1.0 - state.load**2, 0.0))
 
 
-BEND_SHAPES: dict[str, Callable[[Array], Array]] = {
-    "square": np.square,
-    "cube": lambda load: load**3,
-    "tanh": lambda load: np.tanh(2.0 * load),
+BEND_SHAPES: dict[str, tuple[Callable[[Array], Array], ...]] = {
+    "square": (np.square,),
+    "cube": (lambda load: load * load * load,),
+    "tanh": (lambda load: np.tanh(2.0 * load),),
+    "square-and-cube": (np.square, lambda load: load * load * load),
 }
+PRIOR_SD = 0.2  # of each size of a bend that has two, which few configurations cannot tell apart
+BEND_SIZES = {"k": "bend", "cubic": "cubic bend"}
 JOINT_DIRECTIONS = tuple((joint, direction) for joint in JOINTS for direction in "+-")
 
 
@@ -78,8 +81,9 @@ class LoadNonlinearity(TermCause):
 
     Attributes
     ----------
-    form : {"square", "cube", "tanh"}
-        u^2, u^3 or tanh(2 u).
+    form : {"square", "cube", "tanh", "square-and-cube"}
+        u^2, u^3 or tanh(2 u); or k u^2 and a cubic term, both times recoil's factor, as of friction-limited
+        steps, which follow (1 - b |cos q2|) (1 - r u) / (1 + r u).
     groups : tuple of (int, str)
         Joints and directions that the log has.
     """
@@ -104,15 +108,19 @@ class LoadNonlinearity(TermCause):
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `Cause`."""
+        sd = PRIOR_SD if len(BEND_SHAPES[self.form]) > 1 else np.inf
         return tuple(
-            CauseParameter("k", "%", f"bend of joint {joint} {direction}", joint=joint, direction=direction)
-            for joint, direction in self.groups
+            CauseParameter(
+                name, "%", f"{what} of joint {joint} {way}", joint=joint, direction=way, prior_sd=sd
+            )
+            for name, what in list(BEND_SIZES.items())[: len(BEND_SHAPES[self.form])]
+            for joint, way in self.groups
         )
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
-        return (0.02,) * len(self.groups)
+        return (0.02,) * (len(BEND_SHAPES[self.form]) * len(self.groups))
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bind`."""
@@ -121,24 +129,38 @@ class LoadNonlinearity(TermCause):
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`."""
-        return [(replace(self, form=form), 0.02 * np.eye(len(self.groups))) for form in BEND_SHAPES]
+        versions = [replace(self, form=form) for form in BEND_SHAPES]
+        return [(version, np.diag(version.scale)) for version in versions]
 
     def largest_plausible(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""
-        return (np.full(len(self.groups), 0.1),)
+        return (np.full(len(self.scale), 0.1),)
 
     def describe(self, parameters: Sequence[SizedParameter]) -> str:
         """See `Cause.describe`."""
         if not parameters:
             return super().describe(parameters)
-        bends = [f"{k:+} for {k.joint} {format_direction(k.direction)}" for k in parameters]
-        return f"The response to load bends, by {join_words(bends)} (joint and direction)"
+        sizes = [
+            [f"{k:+} for {k.joint} {format_direction(k.direction)}" for k in parameters if k.name == name]
+            for name in BEND_SIZES
+        ]
+        cubic = f", and with the cube of the load by {join_words(sizes[1])}" if sizes[1] else ""
+        return f"The response to load bends, by {join_words(sizes[0])} (joint and direction){cubic}"
+
+    def unload(self, state: State) -> State:
+        """See `TermCause.unload`."""
+        if len(BEND_SHAPES[self.form]) == 1:
+            return super().unload(state)
+        return state.with_changes(override_load=np.zeros((len(state.position), 1)))
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
         """See `TermCause.term`."""
-        size, zero = dict(zip(self.groups, values, strict=True)), np.zeros_like(state.direction_sign)
-        up, down = (size.get((state.joint, direction), zero) for direction in "+-")
-        return np.where(state.direction_sign > 0, up, down) * free * BEND_SHAPES[self.form](state.load)
+        zero, bend, m = np.zeros_like(state.direction_sign), 0.0 * free, len(self.groups)
+        for place, shape in enumerate(BEND_SHAPES[self.form]):
+            size = dict(zip(self.groups, values[place * m : (place + 1) * m], strict=True))
+            up, down = (size.get((state.joint, direction), zero) for direction in "+-")
+            bend = bend + np.where(state.direction_sign > 0, up, down) * shape(state.load)
+        return free * bend
 
 
 @dataclass(frozen=True)

@@ -155,6 +155,7 @@ def estimate_gain(
         compute = partial(compute_errors, selection.problem, findings=extending, selector=selector)
         known = [confirm(split, extending) if confirm else None for split in splits]
         errors = _collect_errors(compute, known, len(selection.problem), splits, seed, workers, progress)
+        splits, errors = _leave_out_stalls(splits, errors)
         rms, rng = np.sqrt(np.mean(errors**2, axis=1)), np.random.default_rng([seed, 1])
         campaign = _linearize_campaign(selection, extending, alpha)
         campaign = replace(campaign, recolour=recolour)
@@ -194,6 +195,21 @@ def _collect_errors(
         if progress is not None:
             progress(len(splits) - len(open_splits) + done, len(splits))
     return np.concatenate([errors[number] for number in range(len(splits))], axis=1)
+
+
+def _leave_out_stalls(splits: Sequence[Split], errors: Array) -> tuple[Sequence[Split], Array]:
+    """Without the rows on which a joint stalls under the laws without causes; errors of shape (k, held out).
+
+    Where it stalls with causes only, these err by all of the step size. Calibrated by few configurations, a
+    law may have steps of no size in another.
+    """
+    moves = np.isfinite(errors[0])
+    if not moves.any():
+        return splits, errors
+    ends = np.cumsum([len(split.held_out) for split in splits])[:-1]
+    parts = zip(splits, np.split(moves, ends), strict=True)
+    kept = [replace(split, held_out=split.held_out[own]) for split, own in parts if own.any()]
+    return kept, np.where(np.isfinite(errors), errors, 1.0)[:, moves]
 
 
 def _baseline_errors(selection: Selection, splits: Sequence[Split], recolour: Recolouring) -> Array:

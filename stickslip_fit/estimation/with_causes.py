@@ -136,8 +136,10 @@ def _candidate_starts(
 ) -> Iterator[tuple[Cause, Array, Array, float]]:
     """Each version of a cause, its values, the part of the residuals that these explain, (n,), and a score.
 
-    The score is what is explained; of smooth functions, which would explain ever more, the log evidence.
+    The score is what is explained, of trials in combination less what noise lets as many explain, by the
+    Bayesian information criterion; of smooth functions, which would explain ever more, the log evidence.
     """
+    price = float(np.log(len(remaining)) * (remaining @ remaining) / remainder.df)
     for version, trials in cause.trials(remainder.rows):
         effects = remainder.effects(laws, start, version, trials)
         if hasattr(version, "with_amplitude"):
@@ -150,12 +152,9 @@ def _candidate_starts(
             continue
         if version.combine_trials:
             share = np.linalg.lstsq(effects, remaining, rcond=1e-9)[0]
-            yield (
-                version,
-                version.combine(share, trials),
-                effects @ share,
-                float((effects @ share) @ remaining),
-            )
+            explained = effects @ share
+            score = float(explained @ remaining) - price * len(share)
+            yield version, version.combine(share, trials), explained, score
             continue
         absent = version.null_values[0]
         for trial, effect in zip(trials, effects.T, strict=True):

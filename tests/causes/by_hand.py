@@ -104,7 +104,7 @@ class Effect:
     """What a cause does at each stage, of a state `s` and its parameters; nothing where not given.
 
     `s` has the row's columns, `way`, `q` (the moving joint's position), and from the stage on where it is
-    known `u`, `recoil` and `free` (the step size without both).
+    known `u`, `recoil`, `free` (the step size without both) and `unloaded` (without `u`).
     """
 
     angles: Angles | None = None
@@ -132,7 +132,7 @@ def steps(row: dict[str, Any], acting: list[tuple[Effect, tuple[float, ...]]]) -
             s.u = change(s, *p)
         for change, p in stage("recoil"):
             s.recoil = change(s, *p)
-        s.free = law(s, 0.0, 0.0)
+        s.free, s.unloaded = law(s, 0.0, 0.0), law(s, 0.0, s.recoil)
         gamma = law(s, s.u, s.recoil) + sum(term(s, *p) for term, p in stage("term"))
         for factor, p in stage("factor"):
             gamma *= factor(s, *p)

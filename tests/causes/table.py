@@ -72,6 +72,11 @@ def bend(f):  # type: ignore[no-untyped-def]
     return Effect(term=lambda s, *k: k[WAYS.index((s.joint, s.way))] * s.free * f(s.u))
 
 
+def square_and_cube(s, *k):  # type: ignore[no-untyped-def]
+    place = WAYS.index((s.joint, s.way))
+    return s.unloaded * (k[place] * s.u**2 + k[place + len(WAYS)] * s.u**3)
+
+
 def polynomial(s, f1, f2, f3):  # type: ignore[no-untyped-def]
     def f(pressure: float) -> float:
         x = (pressure - 1010) / 20
@@ -163,6 +168,12 @@ CASES = (
     Case(LoadNonlinearity(form="square"), bend(lambda u: u**2), BENT, form="square"),
     Case(LoadNonlinearity(form="cube"), bend(lambda u: u**3), BENT, form="cube"),
     Case(LoadNonlinearity(form="tanh"), bend(lambda u: tanh(2 * u)), BENT, form="tanh"),
+    Case(
+        LoadNonlinearity(form="square-and-cube"),
+        Effect(term=square_and_cube),
+        (BENT[0] + BENT[1], BENT[1] + BENT[0]),
+        form="square-and-cube",
+    ),
     Case(
         LoadHysteresis(),
         Effect(factor=lambda s, k: 1 + k * s.before_load),

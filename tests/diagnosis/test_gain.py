@@ -275,6 +275,25 @@ def test_each_finding_gains_its_step_and_steps_add_up(problem):
     assert whole.by_session["traverses"].sum() == sum(len(split.held_out) for split in splits)
 
 
+def test_rows_on_which_the_laws_alone_stall_say_nothing_of_a_cause(problem):
+    own_problem = problem(hide("session", ("drift",), 20, seed=4))
+    selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
+    found, splits = size_findings(selection, own_problem, ALPHA), splits_of(selection)[:2]
+
+    def predicted(split, findings):
+        errors = np.full((1 + len(findings), len(split.held_out)), 0.02)
+        errors[1:] = 0.01
+        errors[0, :2], errors[-1, 1:3] = np.nan, np.nan
+        return errors
+
+    whole, own = estimate_gain(selection, found, splits, SELECT, alpha=ALPHA, confirm=predicted)
+    n = sum(len(split.held_out) - 2 for split in splits)
+    assert whole.by_session["traverses"].sum() == n
+    assert whole.baseline == pytest.approx(0.02)
+    assert whole.extended == pytest.approx(np.sqrt((len(splits) * 1.0 + (n - len(splits)) * 1e-4) / n))
+    assert all(np.isfinite([each.gain.low, each.gain.high]).all() for each in own)
+
+
 def oracle(hidden, selection):
     """Held-out rms errors without and with the true effect, its size fitted: plain linear algebra."""
     problem, blocks = selection.problem, []
