@@ -166,7 +166,10 @@ class Physical(StepLaw):
 
     @abstractmethod
     def ratio_counter(self, rows: Rows) -> RatioCounter:
-        """As `counter`, with the lambda of each traverse, shape (n,), as a second argument."""
+        """As `counter`, with the lambda of each traverse, shape (n,), as a second argument.
+
+        Both arguments may have the same axes in front: many laws of the same traverses at once.
+        """
 
 
 class PhysicalPrismatic(Physical):
@@ -215,11 +218,11 @@ class PhysicalPrismatic(Physical):
         recoil, load = self.features(rows).T
 
         def count(values: Array, ratio: Array) -> tuple[Array, Array]:
-            values = np.broadcast_to(values, (len(length), len(self.parameters)))
+            values = np.broadcast_to(values, (*ratio.shape, len(self.parameters)))
             gamma, slopes = self._evaluate(recoil, load, sign, values, ratio)
             with np.errstate(divide="ignore", invalid="ignore"):
                 counts = np.where(gamma > 0, length / gamma, np.nan)
-                return counts, -slopes * (counts / gamma)[:, None]
+                return counts, -slopes * (counts / gamma)[..., None]
 
         return count
 
@@ -308,22 +311,25 @@ class PhysicalRotary(Physical):
         q3, turn = float_column(rows, "q3"), float(np.abs(stop - start).max(initial=0.0))
 
         def count(values: Array, ratio: Array) -> tuple[Array, Array]:
-            values = np.broadcast_to(values, (len(start), len(self.parameters)))
+            values = np.broadcast_to(values, (*ratio.shape, len(self.parameters)))
             share, inertia = self._share_and_inertia(q2, q3, sign, values)[:2]
-            edge = 1.0 - ratio * inertia
+            edge = np.broadcast_to(1.0 - ratio * inertia, ratio.shape)
             x, w = _composite_rule(float(np.abs(share * amplitude).max(initial=0.0)), turn)
             ends = _regime_changes(sign * share * amplitude, phase, edge, start, stop)
-            owner, stretch = np.nonzero(ends[:, 1:] != ends[:, :-1])
-            low, width = ends[owner, stretch][:, None], (ends[:, 1:] - ends[:, :-1])[owner, stretch][:, None]
-            load = amplitude[owner, None] * np.cos(low + width * x - phase[owner, None])
-            own = q2[owner, None], q3[owner, None], load, sign[owner, None], values[owner, None, :]
-            gamma, slopes = self._evaluate(*own, ratio[owner, None])
+            *law, own, stretch = np.nonzero(ends[..., 1:] != ends[..., :-1])
+            owner = (*law, own)
+            low, width = ends[*owner, stretch][:, None], np.diff(ends)[*owner, stretch][:, None]
+            load = amplitude[own, None] * np.cos(low + width * x - phase[own, None])
+            place = q2[own, None], q3[own, None], load, sign[own, None], values[*owner, None, :]
+            gamma, slopes = self._evaluate(*place, ratio[*owner, None])
             with np.errstate(divide="ignore", invalid="ignore"):
                 rate = np.where(gamma > 0, 1.0 / gamma, np.nan)
             weight = np.abs(width) * w * rate
             parts = np.column_stack([np.sum(weight, axis=1), -np.einsum("nk,nkp->np", weight * rate, slopes)])
-            total = np.stack([np.bincount(owner, part, len(start)) for part in parts.T], axis=-1)
-            return total[:, 0], total[:, 1:]
+            number = np.ravel_multi_index(owner, ratio.shape)
+            total = np.stack([np.bincount(number, part, ratio.size) for part in parts.T], axis=-1)
+            total = total.reshape(*ratio.shape, parts.shape[1])
+            return total[..., 0], total[..., 1:]
 
         return count
 
@@ -399,21 +405,23 @@ def _gauss(nodes: int) -> tuple[Array, Array]:
 
 
 def _regime_changes(amplitude: Array, phase: Array, edge: Array, start: Array, stop: Array) -> Array:
-    """Ends of each traverse, and where between them amplitude cos(q - phase) is `edge`, shape (n, 6).
+    """Ends of each traverse, and where between them amplitude cos(q - phase) is `edge`, shape (..., n, 6).
 
     A traverse of less than a turn passes it in no more than four places, counted with what lies a turn away.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         half = np.arccos(np.clip(np.where(amplitude == 0, 1.0, edge / amplitude), -1.0, 1.0))
-    low, high = np.minimum(start, stop), np.maximum(start, stop)
+    low, high = (
+        np.broadcast_to(each, half.shape) for each in (np.minimum(start, stop), np.maximum(start, stop))
+    )
     turns = 2 * np.pi * np.floor((low - phase + np.pi) / (2 * np.pi))
     centre = phase + turns
     places = np.stack(
-        [centre - half, centre + half, centre + 2 * np.pi - half, centre + 2 * np.pi + half], axis=1
+        [centre - half, centre + half, centre + 2 * np.pi - half, centre + 2 * np.pi + half], axis=-1
     )
-    inside = np.sort(np.clip(places, low[:, None], high[:, None]), axis=1)
-    ordered = np.concatenate([low[:, None], inside, high[:, None]], axis=1)
-    return np.where((start <= stop)[:, None], ordered, ordered[:, ::-1])
+    inside = np.sort(np.clip(places, low[..., None], high[..., None]), axis=-1)
+    ordered = np.concatenate([low[..., None], inside, high[..., None]], axis=-1)
+    return np.where((start <= stop)[:, None], ordered, ordered[..., ::-1])
 
 
 class PhysicalElbow(PhysicalRotary):
