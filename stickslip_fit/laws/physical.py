@@ -41,7 +41,7 @@ from stickslip_fit.laws.base import (
 from stickslip_fit.laws.integration import DriveChange, State
 from stickslip_fit.laws.published import Base, BaseAtOneReach, Elbow, Prismatic, Rotary, published_law
 from stickslip_fit.machine import Machine
-from stickslip_fit.step import relative_step
+from stickslip_fit.step import relative_size, relative_step
 from stickslip_fit.units import PRISMATIC
 
 MAX_SHARE = 0.9  # of friction, by which the load may act
@@ -107,8 +107,7 @@ def change_step(
     """
     if change is None:
         return step
-    scale = np.minimum(ratio, DEEP) / np.minimum(change.before, DEEP)
-    own = np.clip(scale * share, -MAX_SHARE, MAX_SHARE)
+    scale, own = _share_before(share, ratio, change)
     before = relative_step(change.before * inertia, own)
     after = relative_step(change.before * change.ratio * inertia, own * change.share)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -124,6 +123,26 @@ def change_step(
         by_share=factor * step.by_share + gamma * by_share,
         by_inertia=factor * step.by_inertia + gamma * by_ratio,
     )
+
+
+def _share_before(share: Array, ratio: Array, change: DriveChange) -> tuple[Array, Array]:
+    """By how much r is to be scaled for the same response to load before a change, and r there."""
+    scale = np.minimum(ratio, DEEP) / np.minimum(change.before, DEEP)
+    return scale, np.clip(scale * share, -MAX_SHARE, MAX_SHARE)
+
+
+def find_gamma(
+    unloaded: Array, share: Array, inertia: Array | float, ratio: Array, change: DriveChange | None
+) -> Array:
+    """The step size of `evaluate_step` and `change_step` without derivatives, which take most of the time."""
+    gamma = unloaded * (1.0 / np.minimum(ratio, 1.0) / inertia) * relative_size(ratio * inertia, share)
+    if change is None:
+        return gamma
+    _, own = _share_before(share, ratio, change)
+    before = relative_size(change.before * inertia, own)
+    after = relative_size(change.before * change.ratio * inertia, own * change.share)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(change.unit * after / before * gamma)
 
 
 class Physical(StepLaw):
@@ -189,11 +208,16 @@ class PhysicalPrismatic(Physical):
 
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
-        return self._evaluate_at(state, values)[0]
+        a, b, r = np.moveaxis(values[:, None, :], -1, 0)
+        sign, kept = state.direction_sign, 1.0 - b * state.recoil
+        gamma = find_gamma(a, r * sign * state.load, 1.0, self.ratio(sign), state.drive_change)
+        return np.where(kept > 0, kept * gamma, np.nan)
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma_slopes`."""
-        return self._evaluate_at(state, values)[1]
+        sign = state.direction_sign
+        place = state.recoil, state.load, sign, values[:, None, :], self.ratio(sign)
+        return self._evaluate(*place, state.drive_change)[1]
 
     def start_values(self, mean_step: Array) -> Array:
         """See `StepLaw.start_values`."""
@@ -225,11 +249,6 @@ class PhysicalPrismatic(Physical):
                 return counts, -slopes * (counts / gamma)[..., None]
 
         return count
-
-    def _evaluate_at(self, state: State, values: Array) -> tuple[Array, Array]:
-        sign = state.direction_sign
-        place = state.recoil, state.load, sign, values[:, None, :], self.ratio(sign)
-        return self._evaluate(*place, state.drive_change)
 
     def _evaluate(
         self,
@@ -275,11 +294,16 @@ class PhysicalRotary(Physical):
 
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
-        return self._evaluate_at(state, values)[0]
+        sign, values = state.direction_sign, values[:, None, :]
+        share, inertia, *_ = self._share_and_inertia(state.q2, state.q3, sign, values)
+        load, ratio = sign * state.load, self.ratio(sign)
+        return find_gamma(values[..., 0], share * load, inertia, ratio, state.drive_change)
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma_slopes`."""
-        return self._evaluate_at(state, values)[1]
+        sign = state.direction_sign
+        place = state.q2, state.q3, state.load, sign, values[:, None, :], self.ratio(sign)
+        return self._evaluate(*place, state.drive_change)[1]
 
     def start_values(self, mean_step: Array) -> Array:
         """See `StepLaw.start_values`."""
@@ -343,11 +367,6 @@ class PhysicalRotary(Physical):
         shares = np.moveaxis(values[..., 1 + self._gains :], -1, 0)
         share: Array = sum(weight * value for weight, value in zip(weights, shares, strict=True))
         return share, 1.0 if gain is None else 1.0 + values[..., 1] * gain, weights, gain
-
-    def _evaluate_at(self, state: State, values: Array) -> tuple[Array, Array]:
-        sign = state.direction_sign
-        place = state.q2, state.q3, state.load, sign, values[:, None, :], self.ratio(sign)
-        return self._evaluate(*place, state.drive_change)
 
     def _evaluate(
         self,
