@@ -495,10 +495,10 @@ class ExtendedLaw(StepLaw):
 
     def counter(self, rows: Rows) -> Counter:
         """See `StepLaw.counter`; NaN where the step size is not above 0."""
-        parts = self.parts(rows)
+        parts, shape = self.parts(rows), (len(rows["start"]), len(self.parameters))
 
         def count(values: Array) -> tuple[Array, Array]:
-            values = np.broadcast_to(values, (len(float_column(rows, "start")), len(self.parameters)))
+            values = np.broadcast_to(values, shape)
             counts, slopes = zip(*(self._count(part, values[subset]) for subset, part in parts), strict=True)
             return np.concatenate(counts), np.concatenate(slopes)
 

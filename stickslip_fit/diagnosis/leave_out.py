@@ -43,7 +43,7 @@ from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 MIN_KNOWN = 1e-6  # of a row left out: what calibration leaves of it; below, its block has no other row
 SHARED_FILL = 0.25  # of the rows, above which a direction of the calibration counts as shared by all
 MIN_OVERLAP = 1e-9  # product of a direction and a column of the calibration that counts
-MAX_DENSE = 128  # rows
+MAX_DENSE, MAX_DENSE_ROWS = 128, 1000  # rows of a product, and rows left out
 MIN_LEFT = 1e-6  # of the square of a direction, in the rows left
 CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
 CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next, before these are refitted
@@ -107,9 +107,18 @@ class LeftOut:
         if len(inside) > MAX_DENSE:
             coordinates = np.concatenate([np.arange(n_own), beyond])
             return Restriction(inside, coordinates, csr_array(self.own[inside].T), shared)
-        used, dense = _pick_columns(self.own[inside], 0, len(inside))
+        if self._dense is None:
+            used, own = _pick_columns(self.own[inside], 0, len(inside))
+        else:
+            used = np.flatnonzero(self._dense[inside].any(axis=0))
+            own = self._dense[inside][:, used]
         coordinates = np.concatenate([used, beyond])
-        return Restriction(inside, coordinates, np.concatenate([dense.T, shared]), shared[:0])
+        return Restriction(inside, coordinates, np.concatenate([own.T, shared]), shared[:0])
+
+    @cached_property
+    def _dense(self) -> Array | None:
+        """`own` as an array, of which some rows are taken much faster; None where it is large."""
+        return self.own.toarray() if len(self.rows) <= MAX_DENSE_ROWS else None
 
     def remove(self, columns: Array, basis: csr_array) -> Array:
         """Projected columns without the rows, zero in them, (n, m) -> (n, m)."""

@@ -250,21 +250,27 @@ class Sequences:
     def refit(self, coefficient: float) -> CalibrationRefit:
         """The calibration under the correlation of a coefficient."""
         products, _, together = self._products
-        weight = np.array([coefficient**2, -coefficient])
         solvers, crosses, log_determinant = [], [], 0.0
-        left = np.eye(together.shape[-1]) + np.tensordot(weight, together, 1)
+
+        def weigh(both: Array) -> Array:
+            return np.asarray(coefficient**2 * both[0] - coefficient * both[1])
+
+        def factorize(both: Array) -> tuple[Array, float]:
+            factor = np.linalg.cholesky(both)
+            log = 2.0 * float(np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum())
+            inverse = np.linalg.inv(factor)
+            solvers.append(np.concatenate([coefficient**2 * inverse, -coefficient * inverse], axis=-1))
+            return inverse, log
+
+        left = np.eye(together.shape[-1]) + weigh(together)
         for one in products:
-            width = one.own.shape[-1]
-            factor = np.linalg.cholesky(np.eye(width) + np.tensordot(weight, one.own, 1))
-            solvers.append(np.linalg.solve(factor, np.kron(weight, np.eye(width))))
-            cross = np.linalg.solve(factor, np.tensordot(weight, one.cross, 1))
-            crosses.append(cross.reshape(len(factor) * width, len(left)))
+            inverse, log = factorize(np.eye(one.own.shape[-1]) + weigh(one.own))
+            n_parts, width, _ = inverse.shape
+            crosses.append((inverse @ weigh(one.cross)).reshape(n_parts * width, len(left)))
             left -= crosses[-1].T @ crosses[-1]
-            log_determinant += 2.0 * float(np.log(np.diagonal(factor, axis1=1, axis2=2)).sum())
-        factor = np.linalg.cholesky(left)
-        log_determinant += 2.0 * float(np.log(factor.diagonal()).sum())
-        solvers.append(np.linalg.solve(factor, np.kron(weight, np.eye(len(factor)))))
-        crosses = [np.linalg.solve(factor, cross.T) for cross in crosses]
+            log_determinant += log
+        inverse, log = factorize(left)
+        crosses, log_determinant = [inverse @ cross.T for cross in crosses], log_determinant + log
         return CalibrationRefit(solvers, crosses, log_determinant)
 
     def without(self, rows: IntArray) -> Sequences:

@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, linearize_fit
-from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
+from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.diagnosis.linearized import RANK_TOL
+from stickslip_fit.estimation._optimize import group_rows
+from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, JointProblem, single_problem
 from stickslip_fit.estimation.drive_ratio import RATIOS, laws_by_width, stack_ratios, start_at
 from stickslip_fit.laws import FRICTION_LIMITED
 from stickslip_fit.laws.physical import POWERS, Physical
@@ -23,6 +24,9 @@ from stickslip_fit.machine import Machine
 
 FREE = "free"
 SINGLE = tuple(POWERS)  # of mass is friction's with the sign reversed
+CHANGES = (*SINGLE, FREE)
+DIRECTIONS = np.array([*([power, (0, 0, 0)] for power in POWERS.values()), [(1, 0, 0), (0, 1, 0)]])
+"""To which a_f T1^2, r and lambda are multiplied by each of a change's sizes, shape (4, 2, 3)."""
 EVERYWHERE = (*RATIOS, FRICTION_LIMITED)
 NEAR = (*RATIOS[::2], FRICTION_LIMITED)  # between which is looked for lambda where it is likely
 REFINEMENTS = 2
@@ -140,7 +144,16 @@ def fit_changes(
     course : array, shape (n,)
         How far the change is on at each traverse, 1 at most.
     """
-    traverses = _Traverses(joint, direction, rows, machine, response, scale, course)
+    groups = group_rows(rows)
+    order = np.argsort(groups.of_row, kind="stable")
+    rows, effect = rows.iloc[order].reset_index(drop=True), effect[order]
+    first = np.r_[0, np.cumsum(groups.sizes)[:-1]]
+    data = response[order], scale[order], course[order]
+    problems = {
+        len(laws[0].parameters): single_problem(laws[0], rows, DEFAULT_OPTIONS)
+        for laws in laws_by_width(joint, rows, machine, EVERYWHERE)
+    }
+    traverses = _Traverses(joint, direction, rows, machine, *data, first, problems)
     found = traverses.fit_near(effect)
     if found.excess < LARGEST_EXCESS:
         return found
@@ -153,8 +166,42 @@ def fit_changes(
 
 
 @dataclass(frozen=True, eq=False)
+class _LawFit:
+    """The law at one lambda, fitted to n traverses without a change; p parameters.
+
+    Attributes
+    ----------
+    law : Physical
+    values : array, shape (n, p)
+        Of each traverse's session.
+    basis : array, shape (n, p)
+        Orthonormal columns of each session's own Jacobian, in units of the noise; 0 for those that it lacks.
+    residual : array, shape (n,)
+        In units of the noise, orthogonal to `basis`.
+    df : int
+        Of the residuals.
+    """
+
+    law: Physical
+    values: Array
+    basis: Array
+    residual: Array
+    df: int
+
+    @property
+    def ratio(self) -> float:
+        """Of the law."""
+        return self.law.ratios[0]
+
+    @property
+    def square(self) -> float:
+        """Sum of squares."""
+        return float(self.residual @ self.residual)
+
+
+@dataclass(frozen=True, eq=False)
 class _Traverses:
-    """The traverses of one joint and direction; see `fit_changes`."""
+    """The traverses of one joint and direction, session by session from those at `first`."""
 
     joint: int
     direction: str
@@ -163,58 +210,97 @@ class _Traverses:
     response: Array
     scale: Array
     course: Array
+    first: IntArray
+    problems: Mapping[int, JointProblem]
+    """By the number of parameters of the law."""
 
     def fit_near(self, effect: Array) -> Fingerprint:
         """Changes at the lambdas that are likely once `effect` is taken out."""
         before = self._fit_laws(NEAR, effect)
         for _ in range(REFINEMENTS):
-            squares = {ratio: float(at.residual @ at.residual) for ratio, at in before.items()}
+            squares = {ratio: at.square for ratio, at in before.items()}
             before |= self._fit_laws(_middles_beside_best(squares), effect)
-        squares = {ratio: float(at.residual @ at.residual) for ratio, at in before.items()}
+        squares = {ratio: at.square for ratio, at in before.items()}
         least, df = min(squares.values()), max(at.df for at in before.values())
         most = least + UNLIKELY * max(1.0, least / max(df, 1))
-        fits = {
-            ratio: self._fit_all(at, ratio) if squares[ratio] < most else IMPOSSIBLE
-            for ratio, at in before.items()
-        }
-        return self._fingerprint(before, fits)
+        fits = self._fit_all([at for at in before.values() if at.square < most])
+        return self._fingerprint(before, dict.fromkeys(before, IMPOSSIBLE) | fits)
 
     def fit_everywhere(self, effect: Array) -> tuple[Fingerprint, Array]:
         """Changes at every lambda, and what the one that fits best does to each count, shape (n,)."""
-        before: dict[float, LinearizedFit] = {}
+        before: dict[float, _LawFit] = {}
         fits: dict[float, dict[str, ChangeFit]] = {}
         ratios: Sequence[float] = EVERYWHERE
         for _ in range(FINER):
-            before |= self._fit_laws(ratios, effect)
-            fits |= {ratio: self._fit_all(before[ratio], ratio) for ratio in ratios}
+            found = self._fit_laws(ratios, effect)
+            before |= found
+            fits |= self._fit_all(list(found.values()))
             ratios = _middles_beside_best({ratio: _least(own) for ratio, own in fits.items()})
         ratio = min(fits, key=lambda one: _least(fits[one]))
-        name = min(SINGLE, key=lambda one: fits[ratio][one].deviance)
-        best = _effects(before[ratio], ratio).by(name, fits[ratio][name].size, self.course)
-        return self._fingerprint(before, fits), best
+        kind = int(np.argmin([fits[ratio][name].deviance for name in SINGLE]))
+        size = np.array([[fits[ratio][SINGLE[kind]].size[0], 0.0]])
+        best = self._effects([before[ratio]]).by(np.array([kind]), np.array([0]), size, self.course)
+        return self._fingerprint(before, fits), best[0]
 
-    def _fit_laws(self, ratios: Iterable[float], effect: Array) -> dict[float, LinearizedFit]:
+    def _fit_laws(self, ratios: Iterable[float], effect: Array) -> dict[float, _LawFit]:
         """The law at each lambda, without an effect."""
-        fits: dict[float, LinearizedFit] = {}
+        fits: dict[float, _LawFit] = {}
         for laws in laws_by_width(self.joint, self.rows, self.machine, ratios):
-            fits |= _linearize(laws, self.rows, self.response - effect, self.scale)
+            fits |= {fit.ratio: fit for fit in self._fit_alike(laws, effect)}
         return fits
 
-    def _fit_all(self, at: LinearizedFit, ratio: float) -> dict[str, ChangeFit]:
-        """Every change at one lambda."""
-        changes = _effects(at, ratio)
-        target = at.project(at.whiten(self.response - changes.unchanged))
-        fits = {}
-        for name in (*SINGLE, FREE):
+    def _fit_alike(self, laws: Sequence[Physical], effect: Array) -> list[_LawFit]:
+        """Laws of the same parameters, all at once."""
+        ratios, shape = np.array([law.ratios[0] for law in laws]), (len(laws), len(self.response), -1)
+        problem = replace(self.problems[len(laws[0].parameters)], y=self.response - effect)
+        every = stack_ratios(problem, laws[0], ratios)
+        starts = np.concatenate([start_at(problem, ratio) for ratio in ratios])
+        minimum = every.minimize(np.tile(1.0 / self.scale**2, len(laws)), starts, MAX_ITERATIONS)
+        values = minimum.values[every.groups.of_row]
+        slopes = every.model(values)[1].reshape(shape) / self.scale[:, None]
+        basis = np.zeros_like(slopes)
+        for begin, end in zip(self.first, [*self.first[1:], len(self.scale)], strict=True):
+            own = _orthonormalize(slopes[:, begin:end])
+            basis[:, begin:end, : own.shape[-1]] = own
+        residuals = self._project(minimum.residual.reshape(shape[:2]) / self.scale, basis)
+        ranks = np.round(np.sum(basis**2, axis=(1, 2))).astype(int)
+        found = zip(laws, values.reshape(shape), basis, residuals, shape[1] - ranks, strict=True)
+        return [_LawFit(law, own, q, residual, int(df)) for law, own, q, residual, df in found]
 
-            def projected(size: Array, name: str = name) -> Array:
-                return at.project(at.whiten(changes.by(name, size, self.course)))
+    def _project(self, columns: Array, basis: Array) -> Array:
+        """What each of k bases, shape (k, n, p), leaves of columns in units of the noise, shape (k, n)."""
+        along = np.add.reduceat(basis * columns[..., None], self.first, axis=1)
+        sizes = np.diff(self.first, append=columns.shape[1])
+        return columns - np.einsum("knp,knp->kn", basis, np.repeat(along, sizes, axis=1))
 
-            fits[name] = _fit_size(projected, target, 2 if name == FREE else 1)
+    def _fit_all(self, laws: Sequence[_LawFit]) -> dict[float, dict[str, ChangeFit]]:
+        """Every change at every lambda."""
+        fits: dict[float, dict[str, ChangeFit]] = {}
+        for width in sorted({at.values.shape[1] for at in laws}):
+            alike = [at for at in laws if at.values.shape[1] == width]
+            found = self._fit_changes(alike)
+            for k, at in enumerate(alike):
+                fits[at.ratio] = dict(zip(CHANGES, found[k :: len(alike)], strict=True))
         return fits
+
+    def _fit_changes(self, laws: Sequence[_LawFit]) -> list[ChangeFit]:
+        """One change after the other, each at every lambda."""
+        effects, bases = self._effects(laws), np.stack([at.basis for at in laws])
+        kind, place = np.divmod(np.arange(len(CHANGES) * len(laws)), len(laws))
+
+        def projected(some: IntArray, size: Array) -> Array:
+            change = effects.by(kind[some], place[some], size, self.course)
+            return self._project(change / self.scale, bases[place[some]])
+
+        target = self._project((self.response - effects.unchanged) / self.scale, bases)
+        return _fit_sizes(projected, target[place], kind == CHANGES.index(FREE))
+
+    def _effects(self, laws: Sequence[_LawFit]) -> StageEffects:
+        values, ratios = np.stack([at.values for at in laws]), np.array([at.ratio for at in laws])
+        return StageEffects(laws[0].law, self.rows, values, ratios)
 
     def _fingerprint(
-        self, before: Mapping[float, LinearizedFit], fits: Mapping[float, dict[str, ChangeFit]]
+        self, before: Mapping[float, _LawFit], fits: Mapping[float, dict[str, ChangeFit]]
     ) -> Fingerprint:
         ratios = sorted(fits)
         df = np.array([max(before[ratio].df - 2, 1) for ratio in ratios])
@@ -222,33 +308,17 @@ class _Traverses:
         return Fingerprint(self.joint, self.direction, np.array(ratios), own, df)
 
 
-def _effects(at: LinearizedFit, ratio: float) -> StageEffects:
-    """Of changes of the law that was fitted at one lambda."""
-    (part,) = at.parts
-    return StageEffects(part.law, at.rows, part.values, ratio)
+def _orthonormalize(columns: Array) -> Array:
+    """Orthonormal bases of k sets of columns, (k, m, p); columns that a set lacks are 0."""
+    length = np.linalg.norm(columns, axis=1, keepdims=True)
+    left, singular, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
+    least = RANK_TOL * np.maximum(singular.max(axis=1, initial=0.0), np.finfo(float).tiny)
+    return left * (singular > least[:, None])[:, None]
 
 
 def _least(fits: Mapping[str, ChangeFit]) -> float:
     """The deviance that the best of the single changes leaves."""
     return min(fits[name].deviance for name in SINGLE)
-
-
-def _linearize(
-    laws: Sequence[Physical], rows: pd.DataFrame, response: Array, scale: Array
-) -> dict[float, LinearizedFit]:
-    """By lambda; the laws have the same parameters."""
-    ratios = [law.ratios[0] for law in laws]
-    problem = replace(single_problem(laws[0], rows, DEFAULT_OPTIONS), y=response)
-    starts = np.concatenate([start_at(problem, ratio) for ratio in ratios])
-    weight = np.tile(1.0 / scale**2, len(laws))
-    minimum = stack_ratios(problem, laws[0], np.array(ratios)).minimize(weight, starts, MAX_ITERATIONS)
-    block, values = problem.groups.of_row, minimum.values.reshape(len(laws), *problem.start.shape)
-    parts = [
-        LawBlock(law, np.arange(len(rows)), block, own[block]) for law, own in zip(laws, values, strict=True)
-    ]
-    return {
-        ratio: linearize_fit(rows, [part], response, scale) for ratio, part in zip(ratios, parts, strict=True)
-    }
 
 
 def _middles_beside_best(deviance: Mapping[float, float]) -> list[float]:
@@ -258,32 +328,60 @@ def _middles_beside_best(deviance: Mapping[float, float]) -> list[float]:
     return [(ratios[k] + ratios[k + 1]) / 2 for k in (best - 1, best) if 0 <= k < len(ratios) - 2]
 
 
-def _fit_size(effect: Callable[[Array], Array], target: Array, k: int) -> ChangeFit:
-    """Gauss-Newton in the sizes of a change; a step after which the joint stalls is halved."""
-    size, now = np.zeros(k), np.zeros(len(target))
-    slopes = np.stack([effect(DIFFERENCE * unit) / DIFFERENCE for unit in np.eye(k)], axis=-1)
-    information = slopes.T @ slopes
-    if not np.all(np.isfinite(information)) or information.max() < TINY:
-        return ChangeFit(float(target @ target), size, np.zeros((k, k)))
+def _fit_sizes(
+    effect: Callable[[IntArray, Array], Array], target: Array, is_free: BoolArray
+) -> list[ChangeFit]:
+    """Gauss-Newton in the sizes of q changes at once; a step after which the joint stalls is halved.
+
+    Parameters
+    ----------
+    effect : callable
+        Of some changes, positions of shape (a,) and sizes of shape (a, 2), to effects of shape (a, n).
+    target : array, shape (q, n)
+    is_free : array of bool, shape (q,)
+        Whether a change has two sizes.
+    """
+    size, now = np.zeros((len(target), 2)), np.zeros_like(target)
+
+    def differentiate(some: IntArray) -> Array:
+        both = some[is_free[some]]
+        every = np.concatenate([some, both])
+        steps = np.repeat(DIFFERENCE * np.eye(2), [len(some), len(both)], axis=0)
+        moved = (effect(every, size[every] + steps) - now[every]) / DIFFERENCE
+        found = np.zeros((len(some), 2, target.shape[1]))
+        found[:, 0], found[is_free[some], 1] = moved[: len(some)], moved[len(some) :]
+        return found
+
+    slopes = differentiate(np.arange(len(target)))
+    information = slopes @ slopes.swapaxes(1, 2)
+    told = np.all(np.isfinite(information), axis=(1, 2)) & ~(information.max(axis=(1, 2)) < TINY)
+    information[~told] = 0.0
+    active = np.flatnonzero(told)
     for _ in range(STEPS):
-        step = np.linalg.lstsq(slopes, target - now, rcond=SINGULAR)[0]
-        proposed = np.clip(size + step, -LARGEST, LARGEST)
-        new = effect(proposed)
-        while not np.all(np.isfinite(new)):
-            proposed = (size + proposed) / 2
-            new = effect(proposed)
-        if np.sum((target - new) ** 2) > np.sum((target - now) ** 2):
+        if not len(active):
             break
-        done = bool(np.abs(proposed - size).max() < DIFFERENCE)
-        size, now = proposed, new
-        if done:
-            break
-        moved = [(effect(size + DIFFERENCE * unit) - now) / DIFFERENCE for unit in np.eye(k)]
-        if not np.all(np.isfinite(moved)):
-            break
-        slopes = np.stack(moved, axis=-1)
-        information = slopes.T @ slopes
-    return ChangeFit(float(np.sum((target - now) ** 2)), size, information)
+        rest = target[active] - now[active]
+        inverse = np.linalg.pinv(information[active], SINGULAR**2, hermitian=True)
+        step = np.einsum("aij,ajn,an->ai", inverse, slopes[active], rest, optimize=True)
+        proposed = np.clip(size[active] + step, -LARGEST, LARGEST)
+        new = effect(active, proposed)
+        while len(stalls := np.flatnonzero(~np.all(np.isfinite(new), axis=1))):
+            proposed[stalls] = (size[active[stalls]] + proposed[stalls]) / 2
+            new[stalls] = effect(active[stalls], proposed[stalls])
+        better = np.sum((target[active] - new) ** 2, axis=1) <= np.sum(rest**2, axis=1)
+        active, proposed, new = active[better], proposed[better], new[better]
+        moves = np.abs(proposed - size[active]).max(axis=1) >= DIFFERENCE
+        size[active], now[active] = proposed, new
+        active = active[moves]
+        moved = differentiate(active)
+        known = np.all(np.isfinite(moved), axis=(1, 2))
+        active, moved = active[known], moved[known]
+        slopes[active], information[active] = moved, moved @ moved.swapaxes(1, 2)
+    deviance, k = np.sum((target - now) ** 2, axis=1), np.where(is_free, 2, 1)
+    return [
+        ChangeFit(float(deviance[q]), size[q, : k[q]], information[q, : k[q], : k[q]])
+        for q in range(len(target))
+    ]
 
 
 class StageEffects:
@@ -292,37 +390,38 @@ class StageEffects:
     Parameters
     ----------
     law : Physical
+        Of any lambda with the same parameters.
     rows : DataFrame
         n traverses.
-    values : array, shape (n, p)
-    ratio : float
+    values : array, shape (m, n, p)
+        At each lambda.
+    ratios : array, shape (m,)
         lambda before the change.
     """
 
-    def __init__(self, law: Physical, rows: pd.DataFrame, values: Array, ratio: float) -> None:
-        self.values, self.ratio = values, ratio
+    def __init__(self, law: Physical, rows: pd.DataFrame, values: Array, ratios: Array) -> None:
+        self.values, self.ratios = values, ratios[:, None]
         self.count = law.ratio_counter(rows)
         self.shares = [k for k, parameter in enumerate(law.parameters) if parameter.name.startswith("r")]
-        self.unchanged = np.log(self.count(values, np.full(len(rows), ratio))[0])
+        self.unchanged = np.log(self.count(values, np.broadcast_to(self.ratios, values.shape[:2]))[0])
 
-    def by(self, change: str, size: Array, course: Array) -> Array:
-        """Change of log(steps), shape (n,); NaN where the joint stalls.
+    def by(self, kind: IntArray, place: IntArray, size: Array, course: Array) -> Array:
+        """Changes of log(steps), shape (q, n); NaN where the joint stalls.
 
         Parameters
         ----------
-        change : str
-            One of `SINGLE`, or `FREE`.
-        size : array, shape (1,) or (2,)
-            See `ChangeFit`.
+        kind, place : array of int, shape (q,)
+            Positions among `CHANGES` and among the lambdas.
+        size : array, shape (q, 2)
+            See `ChangeFit`; the second is of a free change only.
         course : array, shape (n,)
         """
-        own, other = (np.log1p(np.expm1(each) * course) for each in (size[0], size[-1]))
+        own = np.log1p(np.expm1(size)[..., None] * course)
         # Logarithms of what a_f T1^2, r and lambda are multiplied by.
-        unit, share, ratio = (
-            (own, other, 0.0 * own) if change == FREE else (power * own for power in POWERS[change])
-        )
-        now, values = self.ratio * np.exp(ratio), self.values.copy()
-        values[:, 0] *= np.exp(unit) * np.minimum(now, 1.0) / min(self.ratio, 1.0)
-        values[:, self.shares] *= np.exp(share)[:, None]
+        unit, share, ratio = np.einsum("qkj,qkn->jqn", DIRECTIONS[kind], own)
+        before = self.ratios[place]
+        now, values = before * np.exp(ratio), self.values[place]
+        values[..., 0] *= np.exp(unit) * np.minimum(now, 1.0) / np.minimum(before, 1.0)
+        values[..., self.shares] *= np.exp(share)[..., None]
         with np.errstate(invalid="ignore"):
-            return np.log(self.count(values, now)[0]) - self.unchanged
+            return np.log(self.count(values, now)[0]) - self.unchanged[place]

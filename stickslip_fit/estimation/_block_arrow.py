@@ -61,8 +61,8 @@ class ParameterSharing:
 
 def share_by_direction(names: tuple[str, ...], shared: tuple[str, ...], groups: Groups) -> ParameterSharing:
     """Parameters that have one value in each direction, whatever the session."""
-    set_of_group, directions = pd.factorize(groups.table["direction"])
-    sets = Groups(pd.DataFrame({"direction": directions}), set_of_group)
+    set_of_group, directions = pd.factorize(groups.table["direction"].to_numpy())
+    sets = Groups(pd.DataFrame(index=pd.RangeIndex(len(directions))), set_of_group)
     return ParameterSharing(np.array([name in shared for name in names]), sets)
 
 

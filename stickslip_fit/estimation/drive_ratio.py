@@ -18,7 +18,7 @@ from stickslip_fit.estimation._optimize import Groups, Minimum, group_rows
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, JointProblem, Problem, single_problem
 from stickslip_fit.estimation.identifiability import identifiable_parameters
 from stickslip_fit.laws import Rows, StepLaw
-from stickslip_fit.laws.base import Model
+from stickslip_fit.laws.base import Model, float_column
 from stickslip_fit.laws.physical import (
     DEEP,
     FRICTION_LIMITED,
@@ -369,12 +369,13 @@ def stack_ratios(problem: JointProblem, law: Physical, ratios: Array) -> Problem
     n, k = len(problem.y), len(ratios)
     place, ratio = np.tile(np.arange(n), k), np.repeat(ratios, n)
     number = np.repeat(np.arange(k), n) * len(problem.groups)
-    groups = Groups(
-        pd.concat([problem.groups.table] * k, ignore_index=True), np.tile(problem.groups.of_row, k) + number
-    )
+    table = pd.DataFrame(index=pd.RangeIndex(k * len(problem.groups)))
+    groups = Groups(table, np.tile(problem.groups.of_row, k) + number)
+    columns = {name: float_column(problem.rows, name) for name in (*law.columns, "start", "stop")}
 
     def model_of(some: IntArray) -> Model:
-        count, own = law.ratio_counter(problem.rows.iloc[place[some]]), ratio[some]
+        own_rows = {name: column[place[some]] for name, column in columns.items()}
+        count, own = law.ratio_counter(own_rows), ratio[some]
 
         def predict(values: Array) -> tuple[Array, Array]:
             counts, slopes = count(values, own)

@@ -41,7 +41,7 @@ from stickslip_fit.laws.base import (
 from stickslip_fit.laws.integration import DriveChange, State
 from stickslip_fit.laws.published import Base, BaseAtOneReach, Elbow, Prismatic, Rotary, published_law
 from stickslip_fit.machine import Machine
-from stickslip_fit.step import relative_step
+from stickslip_fit.step import relative_size, relative_step
 from stickslip_fit.units import PRISMATIC
 
 MAX_SHARE = 0.9  # of friction, by which the load may act
@@ -107,8 +107,7 @@ def change_step(
     """
     if change is None:
         return step
-    scale = np.minimum(ratio, DEEP) / np.minimum(change.before, DEEP)
-    own = np.clip(scale * share, -MAX_SHARE, MAX_SHARE)
+    scale, own = _share_before(share, ratio, change)
     before = relative_step(change.before * inertia, own)
     after = relative_step(change.before * change.ratio * inertia, own * change.share)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -124,6 +123,26 @@ def change_step(
         by_share=factor * step.by_share + gamma * by_share,
         by_inertia=factor * step.by_inertia + gamma * by_ratio,
     )
+
+
+def _share_before(share: Array, ratio: Array, change: DriveChange) -> tuple[Array, Array]:
+    """By how much r is to be scaled for the same response to load before a change, and r there."""
+    scale = np.minimum(ratio, DEEP) / np.minimum(change.before, DEEP)
+    return scale, np.clip(scale * share, -MAX_SHARE, MAX_SHARE)
+
+
+def find_gamma(
+    unloaded: Array, share: Array, inertia: Array | float, ratio: Array, change: DriveChange | None
+) -> Array:
+    """The step size of `evaluate_step` and `change_step` without derivatives, which take most of the time."""
+    gamma = unloaded * (1.0 / np.minimum(ratio, 1.0) / inertia) * relative_size(ratio * inertia, share)
+    if change is None:
+        return gamma
+    _, own = _share_before(share, ratio, change)
+    before = relative_size(change.before * inertia, own)
+    after = relative_size(change.before * change.ratio * inertia, own * change.share)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(change.unit * after / before * gamma)
 
 
 class Physical(StepLaw):
@@ -166,7 +185,10 @@ class Physical(StepLaw):
 
     @abstractmethod
     def ratio_counter(self, rows: Rows) -> RatioCounter:
-        """As `counter`, with the lambda of each traverse, shape (n,), as a second argument."""
+        """As `counter`, with the lambda of each traverse, shape (n,), as a second argument.
+
+        Both arguments may have the same axes in front: many laws of the same traverses at once.
+        """
 
 
 class PhysicalPrismatic(Physical):
@@ -186,11 +208,16 @@ class PhysicalPrismatic(Physical):
 
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
-        return self._evaluate_at(state, values)[0]
+        a, b, r = np.moveaxis(values[:, None, :], -1, 0)
+        sign, kept = state.direction_sign, 1.0 - b * state.recoil
+        gamma = find_gamma(a, r * sign * state.load, 1.0, self.ratio(sign), state.drive_change)
+        return np.where(kept > 0, kept * gamma, np.nan)
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma_slopes`."""
-        return self._evaluate_at(state, values)[1]
+        sign = state.direction_sign
+        place = state.recoil, state.load, sign, values[:, None, :], self.ratio(sign)
+        return self._evaluate(*place, state.drive_change)[1]
 
     def start_values(self, mean_step: Array) -> Array:
         """See `StepLaw.start_values`."""
@@ -215,18 +242,13 @@ class PhysicalPrismatic(Physical):
         recoil, load = self.features(rows).T
 
         def count(values: Array, ratio: Array) -> tuple[Array, Array]:
-            values = np.broadcast_to(values, (len(length), len(self.parameters)))
+            values = np.broadcast_to(values, (*ratio.shape, len(self.parameters)))
             gamma, slopes = self._evaluate(recoil, load, sign, values, ratio)
             with np.errstate(divide="ignore", invalid="ignore"):
                 counts = np.where(gamma > 0, length / gamma, np.nan)
-                return counts, -slopes * (counts / gamma)[:, None]
+                return counts, -slopes * (counts / gamma)[..., None]
 
         return count
-
-    def _evaluate_at(self, state: State, values: Array) -> tuple[Array, Array]:
-        sign = state.direction_sign
-        place = state.recoil, state.load, sign, values[:, None, :], self.ratio(sign)
-        return self._evaluate(*place, state.drive_change)
 
     def _evaluate(
         self,
@@ -272,11 +294,16 @@ class PhysicalRotary(Physical):
 
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
-        return self._evaluate_at(state, values)[0]
+        sign, values = state.direction_sign, values[:, None, :]
+        share, inertia, *_ = self._share_and_inertia(state.q2, state.q3, sign, values)
+        load, ratio = sign * state.load, self.ratio(sign)
+        return find_gamma(values[..., 0], share * load, inertia, ratio, state.drive_change)
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma_slopes`."""
-        return self._evaluate_at(state, values)[1]
+        sign = state.direction_sign
+        place = state.q2, state.q3, state.load, sign, values[:, None, :], self.ratio(sign)
+        return self._evaluate(*place, state.drive_change)[1]
 
     def start_values(self, mean_step: Array) -> Array:
         """See `StepLaw.start_values`."""
@@ -308,22 +335,25 @@ class PhysicalRotary(Physical):
         q3, turn = float_column(rows, "q3"), float(np.abs(stop - start).max(initial=0.0))
 
         def count(values: Array, ratio: Array) -> tuple[Array, Array]:
-            values = np.broadcast_to(values, (len(start), len(self.parameters)))
+            values = np.broadcast_to(values, (*ratio.shape, len(self.parameters)))
             share, inertia = self._share_and_inertia(q2, q3, sign, values)[:2]
-            edge = 1.0 - ratio * inertia
+            edge = np.broadcast_to(1.0 - ratio * inertia, ratio.shape)
             x, w = _composite_rule(float(np.abs(share * amplitude).max(initial=0.0)), turn)
             ends = _regime_changes(sign * share * amplitude, phase, edge, start, stop)
-            owner, stretch = np.nonzero(ends[:, 1:] != ends[:, :-1])
-            low, width = ends[owner, stretch][:, None], (ends[:, 1:] - ends[:, :-1])[owner, stretch][:, None]
-            load = amplitude[owner, None] * np.cos(low + width * x - phase[owner, None])
-            own = q2[owner, None], q3[owner, None], load, sign[owner, None], values[owner, None, :]
-            gamma, slopes = self._evaluate(*own, ratio[owner, None])
+            *law, own, stretch = np.nonzero(ends[..., 1:] != ends[..., :-1])
+            owner = (*law, own)
+            low, width = ends[*owner, stretch][:, None], np.diff(ends)[*owner, stretch][:, None]
+            load = amplitude[own, None] * np.cos(low + width * x - phase[own, None])
+            place = q2[own, None], q3[own, None], load, sign[own, None], values[*owner, None, :]
+            gamma, slopes = self._evaluate(*place, ratio[*owner, None])
             with np.errstate(divide="ignore", invalid="ignore"):
                 rate = np.where(gamma > 0, 1.0 / gamma, np.nan)
             weight = np.abs(width) * w * rate
             parts = np.column_stack([np.sum(weight, axis=1), -np.einsum("nk,nkp->np", weight * rate, slopes)])
-            total = np.stack([np.bincount(owner, part, len(start)) for part in parts.T], axis=-1)
-            return total[:, 0], total[:, 1:]
+            number = np.ravel_multi_index(owner, ratio.shape)
+            total = np.stack([np.bincount(number, part, ratio.size) for part in parts.T], axis=-1)
+            total = total.reshape(*ratio.shape, parts.shape[1])
+            return total[..., 0], total[..., 1:]
 
         return count
 
@@ -337,11 +367,6 @@ class PhysicalRotary(Physical):
         shares = np.moveaxis(values[..., 1 + self._gains :], -1, 0)
         share: Array = sum(weight * value for weight, value in zip(weights, shares, strict=True))
         return share, 1.0 if gain is None else 1.0 + values[..., 1] * gain, weights, gain
-
-    def _evaluate_at(self, state: State, values: Array) -> tuple[Array, Array]:
-        sign = state.direction_sign
-        place = state.q2, state.q3, state.load, sign, values[:, None, :], self.ratio(sign)
-        return self._evaluate(*place, state.drive_change)
 
     def _evaluate(
         self,
@@ -399,21 +424,23 @@ def _gauss(nodes: int) -> tuple[Array, Array]:
 
 
 def _regime_changes(amplitude: Array, phase: Array, edge: Array, start: Array, stop: Array) -> Array:
-    """Ends of each traverse, and where between them amplitude cos(q - phase) is `edge`, shape (n, 6).
+    """Ends of each traverse, and where between them amplitude cos(q - phase) is `edge`, shape (..., n, 6).
 
     A traverse of less than a turn passes it in no more than four places, counted with what lies a turn away.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         half = np.arccos(np.clip(np.where(amplitude == 0, 1.0, edge / amplitude), -1.0, 1.0))
-    low, high = np.minimum(start, stop), np.maximum(start, stop)
+    low, high = (
+        np.broadcast_to(each, half.shape) for each in (np.minimum(start, stop), np.maximum(start, stop))
+    )
     turns = 2 * np.pi * np.floor((low - phase + np.pi) / (2 * np.pi))
     centre = phase + turns
     places = np.stack(
-        [centre - half, centre + half, centre + 2 * np.pi - half, centre + 2 * np.pi + half], axis=1
+        [centre - half, centre + half, centre + 2 * np.pi - half, centre + 2 * np.pi + half], axis=-1
     )
-    inside = np.sort(np.clip(places, low[:, None], high[:, None]), axis=1)
-    ordered = np.concatenate([low[:, None], inside, high[:, None]], axis=1)
-    return np.where((start <= stop)[:, None], ordered, ordered[:, ::-1])
+    inside = np.sort(np.clip(places, low[..., None], high[..., None]), axis=-1)
+    ordered = np.concatenate([low[..., None], inside, high[..., None]], axis=-1)
+    return np.where((start <= stop)[:, None], ordered, ordered[..., ::-1])
 
 
 class PhysicalElbow(PhysicalRotary):

@@ -140,10 +140,25 @@ def relative_step(ratio: npt.ArrayLike, share: npt.ArrayLike) -> RelativeStep:
     with np.errstate(invalid="ignore"):
         is_limited, slowed = ratio > 1 - held, ratio / (1 - held**2)
         return RelativeStep(
-            np.where(is_limited, (1 - held) / (1 + held), ratio * (1 - slowed * held)),
+            relative_size(ratio, held),
             np.where(is_limited, 0 * held, 1 - 2 * slowed * held),
             np.where(is_limited, -2 / (1 + held) ** 2, -(slowed**2) * (1 + held**2)),
         )
+
+
+def relative_size(ratio: npt.ArrayLike, share: npt.ArrayLike) -> Array:
+    """Compute the step of `relative_step` alone, from the same parameters.
+
+    Examples
+    --------
+    >>> float(relative_size(0.5, 0.1) - relative_step(0.5, 0.1).step)
+    0.0
+    """
+    ratio, held = np.asarray(ratio, dtype=float), np.asarray(share, dtype=float)
+    held = np.where(np.abs(held) < 1, held, np.nan)
+    with np.errstate(invalid="ignore"):
+        limited, free = (1 - held) / (1 + held), ratio * (1 - ratio / (1 - held**2) * held)
+        return np.where(ratio > 1 - held, limited, free)
 
 
 def step_size(

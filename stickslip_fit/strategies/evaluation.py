@@ -108,16 +108,19 @@ def evaluate_strategies(
     for done, case in enumerate(cases):
         task = case.task
         progress("calibrating by each strategy", done / len(cases))
+        predictions = []
         for strategy in strategies:
             label = (strategy.name, task.session, task.law.joint, task.direction)
             try:
-                measured, predicted = _evaluate_case(strategy, case)
+                measured, prediction = _evaluate_case(strategy, case)
             except NotApplicable as error:
                 left_out.append((*label, str(error)))
                 continue
-            errors.append(predicted.assign(strategy=strategy.name))
+            predictions.append(prediction)
             steps, seconds = int(measured["steps"].sum()), float(stepping_seconds(measured).sum())
             costs.append((*label, len(measured), steps, seconds))
+        if predictions:
+            errors.append(_tabulate_errors(case, predictions))
     none = pd.DataFrame(columns=[*_ERROR_COLUMNS, "strategy"])
     return EvaluationTables(
         pd.concat(errors, ignore_index=True) if errors else none,
@@ -149,25 +152,44 @@ def choose_traverses(strategy: Strategy, task: CalibrationTask) -> npt.NDArray[n
     return chosen
 
 
-def _evaluate_case(strategy: Strategy, case: EvaluationCase) -> tuple[pd.DataFrame, pd.DataFrame]:
+@dataclass(frozen=True, eq=False)
+class _Prediction:
+    """What a strategy predicts of m traverses; `rows` are their positions among the case's.
+
+    `response` is the mean of log(steps), `sd` its standard deviation, each shape (m,).
+    """
+
+    strategy: str
+    rows: npt.NDArray[np.intp]
+    response: npt.NDArray[np.float64]
+    sd: npt.NDArray[np.float64]
+
+
+def _evaluate_case(strategy: Strategy, case: EvaluationCase) -> tuple[pd.DataFrame, _Prediction]:
     """The chosen traverses, and the predictions of the others."""
     task = case.task
-    measured = case.rows.loc[task.offered.index[choose_traverses(strategy, task)]]
-    test_rows = case.rows.drop(index=measured.index)
+    chosen = case.rows.index.get_indexer(task.offered.index[choose_traverses(strategy, task)])
+    measured, others = case.rows.iloc[chosen], np.delete(np.arange(len(case.rows)), chosen)
     try:
-        mean, sd = strategy.calibrate(task, measured)(test_rows)
+        mean, sd = strategy.calibrate(task, measured)(case.rows.iloc[others])
     except InputError as error:
         raise NotApplicable(str(error)) from None
     if not np.all(np.isfinite(mean)):
         raise NotApplicable("its law would stall in a traverse that is to be predicted")
-    counts = expected_steps(test_rows["steps"], test_rows["check_every"])
-    table = test_rows[["session", "joint", "direction", *POSITION_COLUMNS]].assign(
-        traverse=test_rows.index,
-        measured=traverse_length(test_rows) / counts,
-        predicted=traverse_length(test_rows) / np.exp(np.asarray(mean)),
-        sd=np.asarray(sd),
-    )
-    return measured, table[_ERROR_COLUMNS]
+    return measured, _Prediction(strategy.name, others, np.asarray(mean), np.asarray(sd))
+
+
+def _tabulate_errors(case: EvaluationCase, predictions: Sequence[_Prediction]) -> pd.DataFrame:
+    """The rows of `EvaluationTables.errors` of one case, one strategy after the other."""
+    place = np.concatenate([one.rows for one in predictions])
+    rows = case.rows.iloc[place]
+    return rows[["session", "joint", "direction", *POSITION_COLUMNS]].assign(
+        traverse=rows.index,
+        measured=traverse_length(rows) / expected_steps(rows["steps"], rows["check_every"]),
+        predicted=traverse_length(rows) / np.exp(np.concatenate([one.response for one in predictions])),
+        sd=np.concatenate([one.sd for one in predictions]),
+        strategy=np.repeat([one.strategy for one in predictions], [len(one.rows) for one in predictions]),
+    )[[*_ERROR_COLUMNS, "strategy"]]
 
 
 def _choose_noise(law: StepLaw, calibration: JointFit) -> dict[str, float]:

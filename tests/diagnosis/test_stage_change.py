@@ -22,7 +22,7 @@ from stickslip_fit.diagnosis.stage_change import (
     order_changes,
     read_stage,
 )
-from stickslip_fit.diagnosis.stage_fingerprint import StageEffects, fit_changes
+from stickslip_fit.diagnosis.stage_fingerprint import CHANGES, StageEffects, fit_changes
 from stickslip_fit.laws.physical import PhysicalElbow, PhysicalPrismatic
 from stickslip_fit.step import step_size
 from stickslip_fit.units import Interval
@@ -51,9 +51,10 @@ def test_a_change_does_to_counts_what_the_closed_form_says(throw_ratio, quantity
     unloaded = FRICTION * RAMP**2 * min(throw_ratio, 1.0)
     law = PhysicalPrismatic((throw_ratio, throw_ratio))
     values = np.tile([unloaded, 0.0, GRAVITY / FRICTION], (len(load), 1))
-    effects = StageEffects(law, rows, values, throw_ratio)
-    assert effects.unchanged == pytest.approx(np.log(0.012 / before), rel=1e-12)
-    change = effects.by(quantity, np.array([np.log(1.1)]), np.ones(len(load)))
+    effects = StageEffects(law, rows, values[None], np.array([throw_ratio]))
+    assert effects.unchanged[0] == pytest.approx(np.log(0.012 / before), rel=1e-12)
+    kind, size = np.array([CHANGES.index(quantity)]), np.array([[np.log(1.1), 0.0]])
+    (change,) = effects.by(kind, np.array([0]), size, np.ones(len(load)))
     assert change == pytest.approx(np.log(before / after), abs=1e-12)
 
 
