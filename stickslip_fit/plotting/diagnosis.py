@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter
 from stickslip_fit._format import format_percent, format_significant, pluralize
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis import Diagnosis, Finding
-from stickslip_fit.diagnosis._summary import baseline_name
+from stickslip_fit.diagnosis._words import baseline_name
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause
 from stickslip_fit.diagnosis.residuals import compare_residuals, finding_shape
 from stickslip_fit.diagnosis.separability import (

@@ -110,7 +110,7 @@ def test_a_term_that_does_not_predict_better_leaves_the_law_and_unknown_stays(fo
     findings = (replace(finding, gain=worse),)
     unsupported = find_unsupported(findings)
     assert unsupported == findings
-    selection, left = withdraw_causes(found.selection, findings, unsupported)
+    selection, left = withdraw_causes(found.selection, findings, unsupported, found.info)
     assert (left[0].cause, left[0].version, left[0].term) == ("unknown", None, "")
     assert selection.law_causes == []
 

@@ -54,8 +54,8 @@ def test_no_word_of_a_log_is_in_text_notebook_or_page(case, request):
 def test_the_answer_is_in_the_responses_unit(named):
     text, table = " ".join(str(named).split()), named.table
     assert "Viscous friction differs between directions (dFv = 1." in text
-    given = r"\(each given those before it: from 0\.\d{3} to 0\.\d{3} N\)"
-    assert re.search(rf"from 0\.\d{{3}} to 0\.\d{{3}} N {given}; the noise is 0\.\d{{3}} N", text)
+    given = r"\(each given those before it: from 0\.\d{3} N to 0\.\d{3} N\)"
+    assert re.search(rf"from 0\.\d{{3}} N to 0\.\d{{3}} N {given}; the noise is 0\.\d{{3}} N", text)
     assert f"tell as much as about {round(table.independent)} independent ones" in text
     assert f"({0.01 * table.correlation_rows:.4f} s)" in text
 
