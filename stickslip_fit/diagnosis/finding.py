@@ -192,9 +192,12 @@ class DataInfo:
         By which a size is multiplied to be shown.
     held_out, new_session : str
         What is held out if nothing else is said, and what predictions of new sessions are called.
+    least_limit : float
+        Of a figure's scale: a law with as many parameters as rows leaves nothing.
     """
 
     data, row, factor, held_out, new_session = "table", "row", 1.0, "", "a new session"
+    least_limit = 0.0
     response: str
     unit: str
 
@@ -217,6 +220,10 @@ class DataInfo:
         """
         return f"{self.format_number(value)} {self.unit}".rstrip()
 
+    def label(self, what: str) -> str:
+        """Of an axis in that unit."""
+        return f"{what} ({self.unit})" if self.unit else what
+
     def format_signed(self, value: float) -> str:
         """A size with its sign, without its unit."""
         return ("+" if value > 0 else "") + self.format_number(value)
@@ -227,6 +234,7 @@ class LogInfo(DataInfo):
 
     data, row, response, unit, factor = "log", "traverse", "the counts", "%", 100.0
     held_out, new_session = "whole configurations", "a new session, by its calibration"
+    least_limit = 0.05
 
     def format_number(self, value: float) -> str:
         """See `DataInfo`."""

@@ -346,10 +346,7 @@ class Diagnosis(Summarized):
         """
         from stickslip_fit.plotting._style import collect_axes
         from stickslip_fit.plotting.diagnosis import plot_residuals
-        from stickslip_fit.plotting.table import plot_table_finding
 
-        if self.table is not None:
-            return collect_axes(plot_table_finding(self, self.table, finding))
         return collect_axes(plot_residuals(self, finding))
 
     def plot_columns(self) -> AxesArray:
