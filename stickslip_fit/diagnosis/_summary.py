@@ -40,7 +40,7 @@ from stickslip_fit.diagnosis.experiments import find_inseparable_pairs
 from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, Finding, Gain, NextTraverse, TableInfo, shown_size
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
-from stickslip_fit.units import PRISMATIC, Interval
+from stickslip_fit.units import PRISMATIC
 
 MIN_PROBABILITY, MAX_RANKED = 0.015, 10
 MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
@@ -168,7 +168,13 @@ def _parameter_tables(diagnosis: Diagnosis) -> list[Table]:
         if finding.cause != UNKNOWN or finding.term
         for parameter in finding.shown_parameters
     ]
-    note = f"The first {MAX_PARAMETERS} of {len(rows)}." if len(rows) > MAX_PARAMETERS else ""
+    notes = [f"The first {MAX_PARAMETERS} of {len(rows)}."] if len(rows) > MAX_PARAMETERS else []
+    notes += [
+        f"Of {finding.cause}: differences from {finding.version.beside}."
+        for finding in findings
+        if hasattr(finding.version, "beside")
+    ]
+    note = " ".join(notes)
     caption = caption_parameters(findings)
     return [_without_empty(caption, columns, rows[:MAX_PARAMETERS], "of", stubs=2, note=note)] if rows else []
 
@@ -227,7 +233,7 @@ def _gain_tables(diagnosis: Diagnosis, words: Words) -> list[Table]:
 
 
 def _gain_cells(gain: Gain, words: Words) -> tuple[str, ...]:
-    cut = Interval(gain.baseline - gain.extended, gain.low, gain.high).times(words.info.factor)
+    cut = gain.cut.times(words.info.factor)
     before, after, floor = map(words.info.format_number, (gain.baseline, gain.extended, gain.noise_floor))
     return before, after, format_measured(cut), format_measured_range(cut), floor
 

@@ -136,9 +136,10 @@ class TableWords(Words):
             f"{self.format_rms(finding)}, in a way that no cause that was searched describes"
         )
         if finding.term:
-            return f"{text}; a term is proposed: {', '.join([finding.term, *_list_sizes(finding)])}"
+            sizes = ", ".join([finding.term, *_list_sizes(finding)])
+            return f"{text}; a term is proposed: {sizes}{self.describe_way(finding)}"
         wave = "wave" if finding.carrier.startswith("period of ") else "smooth function of it"
-        return f"{text}; a {wave} is proposed"
+        return f"{text}; a {wave} is proposed{self.describe_way(finding)}"
 
     def _describe_gain(self) -> str:
         """What the named causes gain together; of what has no name, what to do about it."""

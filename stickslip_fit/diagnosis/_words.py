@@ -15,14 +15,19 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import format_p_value, join_words
+from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, TO_SOME_EXTENT, DataInfo, Finding, Gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.residuals import compute_shape, term_change
 from stickslip_fit.laws.published import name_of_laws
+from stickslip_fit.logs.schema import COVARIATE_PREFIX
 
 if TYPE_CHECKING:
     from stickslip_fit.diagnosis.result import Diagnosis
 
 MAX_UNTESTABLE_NAMED = 4
+MIN_RANK_CORRELATION = 0.5  # of an effect with a column, to be told as rising or falling
+MIN_BULGE = 0.25  # of its range, by which it is larger or smaller at middle values
 MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
 
 
@@ -78,7 +83,7 @@ class Words(ABC):
         """A finding or the causes that it may be, without a full stop."""
         if finding.cause == UNKNOWN:
             return self.describe_shape(finding)
-        effect = f"{self.describe_effect(finding)}{describe_company(finding)}"
+        effect = f"{self.describe_effect(finding)}{self.describe_way(finding)}{describe_company(finding)}"
         if not finding.equivalent:
             return effect
         either = join_words(list(map(self.name_cause, finding.cause_set)), "or")
@@ -93,7 +98,8 @@ class Words(ABC):
             return f"Besides that: {lower_first(self.describe_shape(finding))}."
         rivals = f", or {join_words(finding.equivalent, 'or')}" if finding.equivalent else ""
         effect = lower_first(self.describe_effect(finding))
-        return f"Besides that: {effect} ({finding.cause}{rivals}){describe_company(finding)}."
+        way = self.describe_way(finding)
+        return f"Besides that: {effect} ({finding.cause}{rivals}){way}{describe_company(finding)}."
 
     def describe_shape(self, finding: Finding) -> str:
         """What structure without a name does, without a full stop."""
@@ -108,10 +114,38 @@ class Words(ABC):
         )
         if finding.carrier.endswith(TO_SOME_EXTENT):
             return f"{text}but by the evidence of one or two {self.info.row}s, so that no cause is named"
-        text += "and has the shape of no cause that was searched"
+        text += f"and has the shape of no cause that was searched{self.describe_way(finding)}"
         if not finding.closest or finding.share < MIN_SHARE:
             return text
         return f"{text}; the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it"
+
+    def describe_way(self, finding: Finding) -> str:
+        """Which way the response goes with the column that a finding follows, as the end of a sentence.
+
+        Empty where it follows several columns or none, or its parameters say so.
+        """
+        selection, info = self.diagnosis.selection, self.info
+        selected, rows = selection.behind(finding), selection.problem.rows
+        version = selected.version
+        carrier = finding.carrier.removesuffix(TO_SOME_EXTENT)
+        columns: Sequence[str] = getattr(version, "carriers", ()) or getattr(version, "columns", (carrier,))
+        names = [name for name in columns if name != "session"]
+        is_quantity = not hasattr(version, "levels") and not hasattr(version, "period")
+        if (finding.parameters and not finding.term) or len(names) != 1 or not is_quantity:
+            return ""
+        name = names[0]
+        if name not in rows or not pd.api.types.is_numeric_dtype(rows[name]) or selected.misfit is None:
+            return ""
+        linearized = selection.problem.linearize()
+        if version is None:
+            change = linearized.unwhiten(compute_shape(selected, linearized))
+        else:
+            change = term_change(selection, version)
+        way = find_way(rows[name].to_numpy(float), info.sign * change)
+        label = "time" if name == "session_seconds" else name.removeprefix(COVARIATE_PREFIX)
+        if way in ("rises", "falls"):
+            return f"; beyond the law {info.response} {way} with {label}"
+        return f"; beyond the law {info.response} is {way} at middle values of {label}" if way else ""
 
     def _describe_withdrawn(self, finding: Finding) -> str:
         """What fits best but is not named, with the reason, without a full stop."""
@@ -158,6 +192,31 @@ class Words(ABC):
             first = names[: MAX_UNTESTABLE_NAMED - 1]
             names = [*first, f"{len(names) - len(first)} others"]
         return f"It could not have shown {join_words(names)}."
+
+
+def find_way(values: Array, change: Array) -> str:
+    """Which way a change goes with values, each shape (n,); empty where it goes no way.
+
+    It ``rises`` or ``falls``, or is ``largest`` or ``smallest`` at middle values.
+
+    Examples
+    --------
+    >>> x = np.linspace(-1.0, 1.0, 30)
+    >>> find_way(x, x**3), find_way(x, -x), find_way(x, x**2), find_way(x, np.sin(20 * x))
+    ('rises', 'falls', 'smallest', '')
+    """
+    known = np.isfinite(values)
+    x, y = pd.Series(values[known]), pd.Series(change[known])
+    if min(x.nunique(), y.nunique()) < 2:
+        return ""
+    correlation = float(x.rank().corr(y.rank()))
+    if abs(correlation) >= MIN_RANK_CORRELATION:
+        return "rises" if correlation > 0 else "falls"
+    middle = x.between(*x.quantile([1 / 3, 2 / 3]))
+    bulge = float(y[middle].mean() - y[~middle].mean()) / float(np.ptp(y))
+    if not abs(bulge) >= MIN_BULGE:
+        return ""
+    return "largest" if bulge > 0 else "smallest"
 
 
 def baseline_name(diagnosis: Diagnosis) -> str:

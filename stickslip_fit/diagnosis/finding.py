@@ -72,6 +72,11 @@ class Gain:
     given_before: tuple[float, ...] = ()
 
     @property
+    def cut(self) -> Interval:
+        """By how much the error falls."""
+        return Interval(self.baseline - self.extended, self.low, self.high)
+
+    @property
     def judged(self) -> tuple[float, float]:
         """The errors, before and after, by which what extends the law is judged.
 
@@ -192,12 +197,13 @@ class DataInfo:
         By which a size is multiplied to be shown.
     held_out, new_session : str
         What is held out if nothing else is said, and what predictions of new sessions are called.
-    least_limit : float
-        Of a figure's scale: a law with as many parameters as rows leaves nothing.
+    least_limit, sign : float
+        Of a figure's scale, as a law with as many parameters as rows leaves nothing; of the response by what
+        laws predict.
     """
 
     data, row, factor, held_out, new_session = "table", "row", 1.0, "", "a new session"
-    least_limit = 0.0
+    least_limit, sign = 0.0, 1.0
     response: str
     unit: str
 
@@ -232,7 +238,8 @@ class DataInfo:
 class LogInfo(DataInfo):
     """Of a log: sizes are relative, and shown as per cent of a step."""
 
-    data, row, response, unit, factor = "log", "traverse", "the counts", "%", 100.0
+    data, row, response, unit, factor = "log", "traverse", "the step size", "%", 100.0
+    sign = -1.0  # larger steps, fewer of them
     held_out, new_session = "whole configurations", "a new session, by its calibration"
     least_limit = 0.05
 
