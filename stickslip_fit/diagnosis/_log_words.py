@@ -79,17 +79,9 @@ class LogWords(Words):
             *describe_noise(self.diagnosis),
         ]
 
-    def describe_effect(self, finding: Finding) -> str:
-        """See `Words`."""
-        return describe_effect(finding)
-
-    def describe_carrier(self, carrier: str) -> str:
-        """See `Words`."""
-        return describe_carrier(carrier)
-
-    def describe_proposal(self, finding: Finding) -> str:
-        """See `Words`."""
-        return describe_proposal(finding)
+    describe_effect = staticmethod(describe_effect)
+    describe_carrier = staticmethod(describe_carrier)
+    describe_proposal = staticmethod(describe_proposal)
 
     def outlier_cells(self, row: pd.Series) -> dict[str, str]:
         """See `Words`."""

@@ -221,7 +221,7 @@ class DataInfo:
 
         Examples
         --------
-        >>> TableInfo("F", "N", 1.0, 600, 600.0).format_size(0.26398), LogInfo().format_size(0.0265)
+        >>> TableInfo("F", "N", 1.0, 600, 600.0).format_size(0.26398), LogInfo().format_size(0.027)
         ('0.264 N', '2.7 %')
         """
         return f"{self.format_number(value)} {self.unit}".rstrip()
