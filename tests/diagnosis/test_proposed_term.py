@@ -259,5 +259,5 @@ def test_a_short_term_may_follow_the_traverse_before(linearized, alternatives):
     for name, values in (("before gap", gap), ("log(1 + pause / s)", np.log1p(pause))):
         centred = np.nan_to_num(values - np.nanmean(values))
         version, error = law_for(linearized, alternatives, centred, build_log_dictionary)
-        assert version.formula == f"k ({name} - mean) / half range"
+        assert version.formula == f"k * ({name} - mean) / half range"
         assert error < 0.02

@@ -177,6 +177,8 @@ def test_of_twins_either_may_be_to_blame(table, read):
     assert found.verdict == "cannot tell apart"
     blamed = {found.findings[0].cause, *found.findings[0].equivalent}
     assert blamed == {"covariate:draught", "covariate:copy"}
+    way = {"covariate:draught": "falls", "covariate:copy": "rises"}[found.findings[0].cause]
+    assert f"; beyond the law the step size {way} with {found.findings[0].cause[10:]}" in told(found)
 
 
 def test_different_causes_are_not_alike(nothing):
