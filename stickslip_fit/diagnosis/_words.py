@@ -20,13 +20,13 @@ from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, TO_SOME_EXTENT, DataIn
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import compute_shape, term_change
 from stickslip_fit.laws.published import name_of_laws
-from stickslip_fit.logs.schema import COVARIATE_PREFIX
 
 if TYPE_CHECKING:
     from stickslip_fit.diagnosis.result import Diagnosis
 
 MAX_UNTESTABLE_NAMED = 4
-MIN_RANK_CORRELATION = 0.5  # of an effect with a column, to be told as rising or falling
+MIN_CORRELATION = 0.5  # of an effect with a column, to be told as rising or falling
+MIN_LEFT = 1e-3  # of a column's spread, of which less is rounding
 MIN_BULGE = 0.25  # of its range, by which it is larger or smaller at middle values
 MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
 
@@ -136,13 +136,15 @@ class Words(ABC):
         name = names[0]
         if name not in rows or not pd.api.types.is_numeric_dtype(rows[name]) or selected.misfit is None:
             return ""
-        linearized = selection.problem.linearize()
-        if version is None:
-            change = linearized.unwhiten(compute_shape(selected, linearized))
-        else:
-            change = term_change(selection, version)
-        way = find_way(rows[name].to_numpy(float), info.sign * change)
-        label = "time" if name == "session_seconds" else name.removeprefix(COVARIATE_PREFIX)
+        linearized, values = selection.problem.linearize(), rows[name].to_numpy(float)
+        change = compute_shape(selected, linearized)
+        if version is not None:
+            change = linearized.project(linearized.whiten(term_change(selection, version)[:, None]))[:, 0]
+        known = np.where(np.isfinite(values), values, np.nanmean(values))[:, None]
+        # As of the change, what the law's own parameters leave of the values.
+        left = linearized.unwhiten(linearized.project(linearized.whiten(known))[:, 0])
+        way = find_way(values, left, info.sign * linearized.unwhiten(change))
+        label = "time" if name == "session_seconds" else self.describe_carrier(name).removeprefix("follows ")
         if way in ("rises", "falls"):
             return f"; beyond the law {info.response} {way} with {label}"
         return f"; beyond the law {info.response} is {way} at middle values of {label}" if way else ""
@@ -194,26 +196,29 @@ class Words(ABC):
         return f"It could not have shown {join_words(names)}."
 
 
-def find_way(values: Array, change: Array) -> str:
+def find_way(values: Array, left: Array, change: Array) -> str:
     """Which way a change goes with values, each shape (n,); empty where it goes no way.
 
-    It ``rises`` or ``falls``, or is ``largest`` or ``smallest`` at middle values.
+    It ``rises`` or ``falls`` with what a law leaves of the values, or is ``largest`` or ``smallest``
+    at those in the middle.
 
     Examples
     --------
     >>> x = np.linspace(-1.0, 1.0, 30)
-    >>> find_way(x, x**3), find_way(x, -x), find_way(x, x**2), find_way(x, np.sin(20 * x))
+    >>> find_way(x, x, x**3), find_way(x, x, -x), find_way(x, x, x**2), find_way(x, 0 * x, np.sin(20 * x))
     ('rises', 'falls', 'smallest', '')
     """
     known = np.isfinite(values)
     x, y = pd.Series(values[known]), pd.Series(change[known])
-    if min(x.nunique(), y.nunique()) < 2:
+    spread = float(np.ptp(y)) if len(y) else 0.0
+    if x.nunique() < 2 or spread == 0.0:
         return ""
-    correlation = float(x.rank().corr(y.rank()))
-    if abs(correlation) >= MIN_RANK_CORRELATION:
-        return "rises" if correlation > 0 else "falls"
+    if np.std(left) > MIN_LEFT * x.std(ddof=0):
+        correlation = float(np.corrcoef(left, change)[0, 1])
+        if abs(correlation) >= MIN_CORRELATION:
+            return "rises" if correlation > 0 else "falls"
     middle = x.between(*x.quantile([1 / 3, 2 / 3]))
-    bulge = float(y[middle].mean() - y[~middle].mean()) / float(np.ptp(y))
+    bulge = float(y[middle].mean() - y[~middle].mean()) / spread
     if not abs(bulge) >= MIN_BULGE:
         return ""
     return "largest" if bulge > 0 else "smallest"
