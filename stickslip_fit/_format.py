@@ -25,6 +25,7 @@ UNKNOWN_VALUE = "not known"
 STEP_DECIMALS = {"nm": 1, "µrad": 2, "%": 2}  # about a tenth of the repeatability of a traverse
 MAX_DECIMALS = 6
 WHOLE_FROM = 10.0  # from here on, a number without an interval has no decimals
+ROUNDING = 1e-9  # of half an interval, so that 0.01 is no less
 ANGLE_TOL, SAME_SHARE = 1e-9, 1e-6  # rad; of a joint's full travel
 
 _KEPT_TOGETHER = re.compile(
@@ -123,15 +124,6 @@ def format_estimate(interval: Interval, unit: str, *, signed: bool = False) -> s
     if not isfinite(value):
         return UNKNOWN_VALUE
     return f"{_thousands(format_number(value, unit, _decimals_of(interval, unit)))}{_beside(unit)}"
-
-
-def format_interval(interval: Interval, unit: str, further: int = 0) -> str:
-    """An interval without its unit, to `further` digits more than its estimate in a sentence."""
-    if not isfinite(interval.high - interval.low):
-        return UNKNOWN_VALUE
-    decimals = _decimals_of(interval, unit, further)
-    ends = (_thousands(format_number(end, unit, decimals)) for end in (interval.low, interval.high))
-    return " to ".join(ends)
 
 
 def format_percent(share: float, *, with_unit: bool = True, signed: bool = False) -> str:
@@ -417,6 +409,18 @@ def format_measured_range(interval: Interval) -> str:
     return " to ".join(_with_decimals(end, decimals, power) for end in (interval.low, interval.high))
 
 
+def format_share(share: Interval) -> str:
+    """A share in per cent with its interval.
+
+    Examples
+    --------
+    >>> format_share(Interval(0.031, 0.0267, 0.0354))
+    '3.10 % (2.67 to 3.54 %)'
+    """
+    shown = share.times(100.0)
+    return f"{format_measured(shown, '%')} ({format_measured_range(shown)} %)"
+
+
 def _common_scale(interval: Interval) -> tuple[int, int]:
     """Power of ten and decimals for an estimate and both ends of its interval."""
     known = [abs(x) for x in (interval.estimate, interval.low, interval.high) if isfinite(x)]
@@ -426,7 +430,7 @@ def _common_scale(interval: Interval) -> tuple[int, int]:
         return power, SIGNIFICANT_DIGITS - 1 - power
     is_size = isfinite(interval.estimate) and interval.low >= 0
     least = -_power_of(interval.estimate) if is_size else 0
-    return power, max(1 - floor(log10(half)), least)
+    return power, max(1 - floor(log10(half * (1.0 + ROUNDING))), least)
 
 
 def _power_of(value: float) -> int:
@@ -441,13 +445,13 @@ def _with_decimals(value: float, decimals: int, power: int) -> str:
     return f"{_true_minus(shown)}×10{str(power).translate(_SUPERSCRIPTS)}"
 
 
-def _decimals_of(interval: Interval, unit: str, further: int = 0) -> int:
+def _decimals_of(interval: Interval, unit: str) -> int:
     values = interval.estimate, interval.low, interval.high
     estimate, low, high = (float(from_si(x, unit)) if unit in UNITS else x for x in values)
     half = abs(high - low) / 2
     if not isfinite(half) or half <= 0:
         return 0 if abs(estimate) >= WHOLE_FROM else 2
-    return min(max(0, further - floor(log10(half))), MAX_DECIMALS)
+    return min(max(0, -floor(log10(half))), MAX_DECIMALS)
 
 
 def _thousands(text: str) -> str:

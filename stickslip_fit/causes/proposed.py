@@ -2,7 +2,7 @@
 
 A `SmoothTerm` is a smooth function of one carrier, or a product of such functions of two: a position, an
 angle, the load, a column of the log, the traverse before. `carrier_values` says what each carrier is. A
-`ProposedTerm` is one number times a short expression of them, such as k sin(q1) x load.
+`ProposedTerm` is one number times a short expression of them, such as k * sin(q1) * load.
 """
 
 from __future__ import annotations
@@ -311,7 +311,8 @@ class CarrierFunction:
         if self.unit != 1.0:
             name = f"({name} - mean) / half range" if self.middle else f"{name} / largest"
             name = f"({name})" if self.expression == "x^2" else name
-        return self.expression.replace("x", name) if self.expression != "x^2" else f"{name}^2"
+        expression = self.expression.replace("2 x", "2*x").replace("3 x", "3*x")
+        return expression.replace("x", name) if expression != "x^2" else f"{name}^2"
 
 
 @dataclass(frozen=True)
@@ -354,8 +355,8 @@ class ProposedTerm(LinearFactor):
 
     @property
     def formula(self) -> str:
-        """For people, such as ``k sin(q1) x load, joint 2, + only``."""
-        text = "k " + " x ".join(str(CarrierFunction(*factor)) for factor in self.factors)
+        """For people, such as ``k * sin(q1) * load, joint 2, + only``."""
+        text = "k * " + " * ".join(str(CarrierFunction(*factor)) for factor in self.factors)
         return text + describe_where(self.on, self.mode)
 
     def acts_on(self, law: StepLaw) -> bool:

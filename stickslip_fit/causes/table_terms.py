@@ -260,8 +260,8 @@ class ProposedTableTerm(AddedTerm):
 
     @property
     def formula(self) -> str:
-        """For people, such as ``k ((speed - 14.5) / 10.5)^2``."""
-        text = "k " + " x ".join(str(ColumnFunction(*factor)) for factor in self.factors)
+        """For people, such as ``k * ((speed - 14.5) / 10.5)^2``."""
+        text = "k * " + " * ".join(str(ColumnFunction(*factor)) for factor in self.factors)
         return text + (", opposite sign in the two directions" if self.direction else "")
 
     def term(self, rows: Rows) -> Term:

@@ -10,10 +10,10 @@ from stickslip_fit._format import (
     MISSING,
     decimals_for,
     format_direction,
+    format_number,
     format_p_value,
     format_percent,
     format_percent_range,
-    format_range,
     format_uncertain,
     format_value,
     join_words,
@@ -97,12 +97,13 @@ def _describe_drive(changes: Changes, joint: int, direction: str) -> str:
     parts = []
     if size is not None:
         way = "longer" if size.difference.estimate > 0 else "shorter"
-        amount = format_percent(abs(size.difference.estimate))
-        extent = f"{_percent(size.difference.low)} to {_percent(size.difference.high)}"
+        one = size.difference
+        decimals = decimals_for(from_si(one.standard_error, "%"))
+        extent = _interval(one.low, one.high, "%", decimals)
         parts.append(
-            f"steps are {amount} {way} ({extent} %)"
+            f"steps are {format_value(abs(one.estimate), '%', decimals)} {way} ({extent})"
             if size.is_significant
-            else f"the mean step size shows no change ({extent} %)"
+            else f"the mean step size shows no change ({extent})"
         )
     if parameters:
         parts += [f"{one.name} changed by {_difference(one)}" for one in parameters]
@@ -184,10 +185,17 @@ def _row(change: Change) -> tuple[str, ...]:
         format_value(difference.old, change.unit, size),
         format_value(difference.new, change.unit, size),
         _difference(change),
-        format_range(difference.low, difference.high, unit, decimals),
+        _interval(difference.low, difference.high, unit, decimals),
         MISSING if isnan(difference.p_adjusted) else format_p_value(difference.p_adjusted),
         format_value(difference.detectable, unit, decimals),
     )
+
+
+def _interval(low: float, high: float, unit: str, decimals: int) -> str:
+    """With its unit, which not all rows have in common."""
+    if isnan(low) or isnan(high):
+        return MISSING
+    return f"{format_number(low, unit, decimals)} to {format_value(high, unit, decimals)}"
 
 
 def _difference(change: Change) -> str:

@@ -63,6 +63,18 @@ Sheet = Annotated[
     str | None, typer.Option(metavar="NAME", help="Sheet of an Excel workbook; the first one without it.")
 ]
 Json = Annotated[Path | None, typer.Option("--json", help="Also save the result here."), Output()]
+Alpha = Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")]
+Seed = Annotated[int, typer.Option(min=0, help="Of the bootstrap.")]
+ReportPath = Annotated[
+    Path | None,
+    typer.Option("--report", help="Also show it as one HTML page here, with figures."),
+    Output(),
+]
+ExtendedLawPath = Annotated[
+    Path | None,
+    typer.Option("--save-law", help="Also save the law here (JSON), extended by the causes found."),
+    Output(),
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace files that exist already.")]
 Chart = Annotated[
     Path | None,

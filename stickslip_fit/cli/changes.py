@@ -10,6 +10,7 @@ import typer
 from stickslip_fit._progress import show_progress
 from stickslip_fit.cli._files import INPUT
 from stickslip_fit.cli._options import (
+    Alpha,
     Json,
     LawNames,
     LogPath,
@@ -41,7 +42,7 @@ def changed(
         str | None,
         typer.Option(help="Instead of NEW: sessions of OLD from this date on against those before it."),
     ] = None,
-    alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
+    alpha: Alpha = 0.01,
     law: LawNames = None,
     machine: MachinePath = None,
     sheet: Sheet = None,

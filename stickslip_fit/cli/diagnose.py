@@ -17,11 +17,15 @@ from stickslip_fit._json import write_json
 from stickslip_fit._progress import show_progress
 from stickslip_fit.cli._files import INPUT, Output, write_template
 from stickslip_fit.cli._options import (
+    Alpha,
+    ExtendedLawPath,
     Force,
     Json,
     LawNames,
     LogSource,
     MachinePath,
+    ReportPath,
+    Seed,
     Sheet,
     Since,
     Until,
@@ -87,18 +91,10 @@ def anova(
 def diagnose(
     *,
     json: Json = None,
-    report: Annotated[
-        Path | None,
-        typer.Option("--report", help="Also show it as one HTML page here, with figures."),
-        Output(),
-    ] = None,
-    save_law: Annotated[
-        Path | None,
-        typer.Option("--save-law", help="Also fit the law extended by the causes found, and save it here."),
-        Output(),
-    ] = None,
-    alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
-    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
+    report: ReportPath = None,
+    save_law: ExtendedLawPath = None,
+    alpha: Alpha = 0.01,
+    seed: Seed = 0,
     law: LawNames = None,
     source: LogSource,
     display: Display,
@@ -186,19 +182,11 @@ def diagnose_table(
         str | None, typer.Option(help="Column: what belongs together, held out as a whole.")
     ] = None,
     json: Json = None,
-    report: Annotated[
-        Path | None,
-        typer.Option("--report", help="Also show it as one HTML page here, with figures."),
-        Output(),
-    ] = None,
-    save_law: Annotated[
-        Path | None,
-        typer.Option("--save-law", help="Also save the law extended by the causes found here (JSON)."),
-        Output(),
-    ] = None,
+    report: ReportPath = None,
+    save_law: ExtendedLawPath = None,
     sheet: Sheet = None,
-    alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
-    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
+    alpha: Alpha = 0.01,
+    seed: Seed = 0,
     display: Display,
 ) -> None:
     """Test a law of your own on any table, name the causes of a misfit, and measure what they gain.
@@ -296,8 +284,8 @@ def plan(
     since: Since = None,
     until: Until = None,
     sheet: Sheet = None,
-    alpha: Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")] = 0.01,
-    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
+    alpha: Alpha = 0.01,
+    seed: Seed = 0,
     json: Json = None,
     chart: Annotated[
         Path | None,

@@ -1,6 +1,6 @@
 """What the laws get wrong in a log or a table: show it, name the cause, extend the law, measure the gain."""
 
-from stickslip_fit.diagnosis import _table_summary as _table_summary  # registers how results are summarized
+from stickslip_fit.diagnosis import _summary as _summary  # registers how results are summarized
 from stickslip_fit.diagnosis._json import save_diagnosis
 from stickslip_fit.diagnosis.experiments import next_experiment
 from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableInfo

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from stickslip_fit._format import (
     format_p_value,
     format_percent,
-    format_percent_range,
+    format_share,
     join_words,
     joint_name,
     pluralize,
@@ -98,10 +98,9 @@ def _describe_result(diagnosis: Diagnosis) -> str:
         if named:
             error = (
                 f"the error was {format_percent(gain.baseline)} rms without and "
-                f"{format_percent(gain.extended)} with the extension (gain "
-                f"{format_percent(gain.baseline - gain.extended)}, 95 % interval for a replicate of the "
-                f"campaign {format_percent_range(gain.low, gain.high)} %, by approximate Bayesian "
-                "computation, Rubin 1984)"
+                f"{format_percent(gain.extended)} with the extension (gain, with its 95 % interval for a "
+                f"replicate of the campaign, {format_share(gain.cut)}, by approximate Bayesian computation, "
+                "Rubin 1984)"
             )
         sentences.append(
             "In tenfold cross-validation over configurations, with the search repeated in each fold, "

@@ -11,12 +11,13 @@ from stickslip_fit._format import (
     format_direction,
     format_p_value,
     format_percent,
-    format_percent_range,
+    format_share,
     format_uncertain,
     join_words,
 )
 from stickslip_fit._summary import Column, Section, Table
 from stickslip_fit.diagnosis.stage_change import StageChange, StageReading
+from stickslip_fit.units import Interval
 
 WORDS = {
     "friction": "friction or preload",
@@ -101,7 +102,7 @@ def _describe_change(change: StageChange, intervals: bool) -> str:
     by = format_percent(abs(size.estimate))
     if intervals:
         low, high = sorted((sign * size.low, sign * size.high))
-        by = f"{by} ({format_percent_range(low, high)} %)"
+        by = format_share(Interval(abs(size.estimate), low, high))
     return f"{by} {'more' if sign > 0 else 'less'} {WORDS[change.quantity]}"
 
 

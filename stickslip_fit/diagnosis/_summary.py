@@ -1,7 +1,7 @@
-"""A log's diagnosis as a summary: the conclusion and what to do about it, then the tables.
+"""A diagnosis as a summary: the conclusion and what to do about it, then the tables.
 
-`write_headline` makes the sentences, `summarize_diagnosis` the whole, `describe_effect` and `remedy_for`
-what each cause does and what cures it.
+What is said of a log and of a table in their own words is in `_words`; sizes are shown per cent of a step in
+a log, in the unit of the response in a table.
 """
 
 from __future__ import annotations
@@ -11,180 +11,69 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from stickslip_fit._format import (
     MISSING,
-    capitalize_first,
     format_angle,
     format_direction,
-    format_estimate,
-    format_interval,
     format_length,
+    format_measured,
+    format_measured_range,
     format_p_value,
-    format_percent,
-    format_percent_range,
+    format_significant,
     join_words,
     pluralize,
     typeset_text,
 )
-from stickslip_fit._summary import Column, Section, Summary, Table, numbers, words
-from stickslip_fit.causes import EndStopMisfire, SizedParameter
-from stickslip_fit.causes.parameters import plain_description
-from stickslip_fit.diagnosis._noise_summary import describe_noise
-from stickslip_fit.diagnosis._stage_summary import describe_reading, stage_sections
+from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
+from stickslip_fit.causes import SizedParameter
+from stickslip_fit.diagnosis._log_words import LogWords
+from stickslip_fit.diagnosis._stage_summary import stage_sections
+from stickslip_fit.diagnosis._table_words import TableWords
 from stickslip_fit.diagnosis._unknown_summary import (
     caption_parameters,
-    describe_company,
-    describe_proposals,
-    describe_scatter,
-    describe_shape,
-    describe_unknown_gain,
     explains_tables,
-    find_extending,
     name_findings,
 )
+from stickslip_fit.diagnosis._words import Words, baseline_name, describe_proposals
 from stickslip_fit.diagnosis.experiments import find_inseparable_pairs
-from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse
+from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, Finding, Gain, NextTraverse, TableInfo, shown_size
 from stickslip_fit.diagnosis.misfit import UNKNOWN
-from stickslip_fit.diagnosis.problem import MISFIRE
 from stickslip_fit.diagnosis.result import Diagnosis
-from stickslip_fit.laws.published import name_of_laws
 from stickslip_fit.units import PRISMATIC
 
-MAX_UNTESTABLE_NAMED = 4
-MIN_PROBABILITY, MAX_RANKED, MAX_TRAVERSES = 0.015, 10, 20
+MIN_PROBABILITY, MAX_RANKED = 0.015, 10
+MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
 LN_10 = np.log(10.0)
 MAX_POWER = 6  # of ten, of a Bayes factor that is written out
 
 
-def describe_effect(finding: Finding) -> str:
-    """What a named cause does, without a full stop; without parameters, with the size of its effect.
-
-    A cause without `describe` is described by its phrase.
-    """
-    cause = _cause(finding)
-    if hasattr(cause, "describe"):
-        text = cause.describe(finding.parameters)
-    else:
-        text = plain_description(getattr(cause, "phrase", finding.cause), finding.parameters)
-    return text if finding.parameters else f"{text}, by {format_percent(finding.effect.estimate)} rms"
-
-
-def remedy_for(finding: Finding) -> str:
-    """What cures it, as the beginning of a sentence; empty where only the extended law does."""
-    return getattr(_cause(finding), "remedy", "")
-
-
-def _cause(finding: Finding) -> Any:
-    return EndStopMisfire() if finding.cause == MISFIRE else finding.version
+def find_words(diagnosis: Diagnosis) -> Words:
+    """The words for what was diagnosed."""
+    return LogWords(diagnosis) if diagnosis.table is None else TableWords(diagnosis)
 
 
 def write_headline(diagnosis: Diagnosis) -> list[str]:
-    """Sentences: what is wrong, what to do about it, then what else is wrong."""
-    if not diagnosis.findings:
-        noise = describe_noise(diagnosis)
-        return [_describe_no_misfit(diagnosis), *noise, describe_untestable(diagnosis), *diagnosis.notes]
-    first, *others = diagnosis.findings
-    return [
-        f"{_describe_finding(first, diagnosis)}.",
-        _describe_gain(first, diagnosis),
-        *(_describe_side_effects(finding) for finding in others),
-        *(describe_reading(one, intervals=False) for one in diagnosis.stage if one.suffices),
-        *describe_noise(diagnosis),
-        *diagnosis.notes,
-    ]
-
-
-def name_cause(cause: str, diagnosis: Diagnosis) -> str:
-    """A cause in words, with its name."""
-    phrases = {one.name: getattr(one, "phrase", "") for one in diagnosis.selection.problem.causes}
-    return f"{phrases[cause]} ({cause})" if phrases.get(cause) else cause
-
-
-def baseline_name(diagnosis: Diagnosis) -> str:
-    """What the laws are called that are put to the test."""
-    return name_of_laws(part.law for part in diagnosis.selection.problem.parts)
-
-
-def _describe_no_misfit(diagnosis: Diagnosis) -> str:
-    if not np.isfinite(diagnosis.repeatability):
-        return f"Nothing can be said of this log: {diagnosis.untestable[UNKNOWN]}."
-    return (
-        f"Nothing is wrong that this log can show: the {baseline_name(diagnosis)} leaves "
-        f"{format_percent(diagnosis.misfit)} rms, and {describe_scatter(diagnosis)} "
-        f"(p {format_p_value(diagnosis.p_value, relation=True)})."
-    )
-
-
-def describe_untestable(diagnosis: Diagnosis) -> str:
-    """Which causes the data could not have shown, as a sentence."""
-    if not np.isfinite(diagnosis.repeatability):
-        return "Until then no cause is confirmed, and none ruled out."
-    names = list(diagnosis.untestable)
-    if not names:
-        return "It could have shown every cause that was searched, at its largest plausible size."
-    if len(names) > MAX_UNTESTABLE_NAMED:
-        first = names[: MAX_UNTESTABLE_NAMED - 1]
-        names = [*first, f"{len(names) - len(first)} others"]
-    return f"It could not have shown {join_words(names)}."
-
-
-def _describe_finding(finding: Finding, diagnosis: Diagnosis) -> str:
-    if finding.cause == UNKNOWN:
-        return describe_shape(finding)
-    effect = f"{describe_effect(finding)}{describe_company(finding)}"
-    if not finding.equivalent:
-        return effect
-    either = join_words([name_cause(cause, diagnosis) for cause in finding.cause_set], "or")
-    return f"This log cannot tell what is wrong: {either}. If it is the first: {lower_first(effect)}"
-
-
-def _describe_gain(finding: Finding, diagnosis: Diagnosis) -> str:
-    if finding.cause == UNKNOWN:
-        return describe_unknown_gain(finding, diagnosis)
-    cure = remedy_for(finding) if not finding.equivalent else ""
-    law = "" if finding.cause == MISFIRE else "the extended law"
-    gain = diagnosis.gain
-    if gain is None or gain.extended >= gain.baseline:
-        cut = f"takes away errors of {format_percent(finding.effect.estimate)} rms"
+    """Sentences: what is wrong, what to do about it, what else is wrong, and how much the data tell."""
+    words = find_words(diagnosis)
+    if diagnosis.findings:
+        told = words.tell_findings()
     else:
-        cut = (
-            "cuts the prediction error on held-out traverses from "
-            f"{format_percent(gain.baseline)} to {format_percent(gain.extended)}"
-        )
-    choices = " or ".join(filter(None, [f"{cure}," if cure and law else cure, law]))
-    what = f"Remedy: {choices}, which" if cure else capitalize_first(law)
-    following = ""
-    if finding.equivalent and diagnosis.next_experiment:
-        following = " The traverses that would separate them are below."
-    elif finding.equivalent:
-        following = " No candidate traverse would separate them."
-    return f"{what} {cut}; {describe_scatter(diagnosis)}.{following}"
+        told = [*words.tell_no_finding(), words.describe_untestable()]
+    return [*words.flags(), *told, *words.notes()]
 
 
-def _describe_side_effects(finding: Finding) -> str:
-    if finding.cause == UNKNOWN:
-        return f"Besides that: {lower_first(describe_shape(finding))}."
-    rivals = f", or {join_words(finding.equivalent, 'or')}" if finding.equivalent else ""
-    company = describe_company(finding)
-    return f"Besides that: {lower_first(describe_effect(finding))} ({finding.cause}{rivals}){company}."
-
-
-def lower_first(text: str) -> str:
-    """The text with a small first letter, for the middle of a sentence."""
-    return text[:1].lower() + text[1:]
-
-
-def summarize_log_diagnosis(diagnosis: Diagnosis) -> Summary:
-    """A log's: the headline; findings with sizes and gain; the alternatives; the untestable causes."""
-    name = Path(diagnosis.log_file).name or "a log that was never in a file"
+@summarize.register
+def summarize_diagnosis(diagnosis: Diagnosis) -> Summary:
+    """The headline; findings with sizes and gain; the alternatives; the untestable causes."""
+    words, info = find_words(diagnosis), diagnosis.info
+    name = Path(diagnosis.log_file).name or info.nameless
     next_traverses = traverses_table("Discriminating traverses", diagnosis.next_experiment)
     return Summary(
         f"Diagnosis of {name}",
         tuple(map(typeset_text, write_headline(diagnosis))),
         (
-            Section(tables=(*_findings_tables(diagnosis), *_gain_tables(diagnosis))),
+            Section(tables=(*_findings_tables(diagnosis, words), *_gain_tables(diagnosis, words))),
             *stage_sections(diagnosis.stage),
             Section(
                 "What else it could be",
@@ -192,66 +81,102 @@ def summarize_log_diagnosis(diagnosis: Diagnosis) -> Summary:
                 (*explains_tables(diagnosis), *ranking_tables(diagnosis), *next_traverses),
                 key="alternatives",
             ),
-            Section("What this log could not have shown", tuple(list_untestable(diagnosis)), key="unseen"),
+            Section(
+                f"What this {info.data} could not have shown", tuple(list_untestable(diagnosis)), key="unseen"
+            ),
         ),
         provenance=(
-            (name, f"sha256 {diagnosis.log_sha256}"),
+            (name, f"sha256 {diagnosis.log_sha256}" if diagnosis.log_sha256 else "no hash"),
+            *(
+                [("columns", "; ".join(_list_columns(diagnosis.table)))]
+                if diagnosis.table is not None
+                else []
+            ),
             ("false-alarm rate, seed", f"{diagnosis.alpha:g}, {diagnosis.seed}"),
         ),
     )
 
 
-def _findings_tables(diagnosis: Diagnosis) -> list[Table]:
-    """The findings with their effects, their parameters, and the outlying counts."""
+def _list_columns(table: TableInfo) -> list[str]:
+    unit = f" in {table.unit}" if table.unit else ""
+    roles = [f"{role}: {column}" for role, column in table.roles.items() if column]
+    return [f"response: {table.response}{unit}", *roles]
+
+
+def _findings_tables(diagnosis: Diagnosis, words: Words) -> list[Table]:
+    """The findings with their effects, their parameters, and the outlying values."""
     if not diagnosis.findings:
         return []
     columns = (
         Column("found", text=True),
-        *numbers("effect, rms", "95 % interval", unit="%"),
+        *numbers("effect, rms", "95 % interval", unit=words.info.unit),
         Column("joints", text=True),
         Column("p"),
         Column("not separable from", text=True),
     )
-    rows = tuple(
+    effects = [finding.effect.times(words.info.factor) for finding in diagnosis.findings]
+    rows = [
         (
             name,
-            format_percent(finding.effect.estimate, with_unit=False),
-            format_interval(finding.effect, "%", 1),
+            format_measured(size) if size.estimate > 0 else f"< {format_significant(size.high, 2)}",
+            format_measured_range(size),
             ", ".join(map(str, finding.joints)),
             format_p_value(finding.p_value),
             ", ".join(finding.equivalent) or MISSING,
         )
-        for name, finding in zip(name_findings(diagnosis.findings), diagnosis.findings, strict=True)
-    )
-    note = "Effect on the counts, beyond what recalibration absorbs. p: of any alarm, if nothing were wrong."
-    outliers = [
-        _outliers_table(finding.traverses) for finding in diagnosis.findings if finding.traverses is not None
+        for name, finding, size in zip(
+            name_findings(diagnosis.findings), diagnosis.findings, effects, strict=True
+        )
     ]
-    return [Table("What is wrong", columns, rows, note=note), *_parameter_tables(diagnosis), *outliers]
+    note = (
+        f"Effect: rms over all {words.info.row}s of what the cause does to {words.info.response}, beyond "
+        "what the law's own parameters absorb. p: the chance of anything as far off, anywhere that was "
+        "searched, if nothing were wrong."
+    )
+    found = _without_empty("What is wrong", columns, rows, "joints", note=note)
+    outliers = [_outliers_table(one, words) for one in diagnosis.findings if one.traverses is not None]
+    return [found, *_parameter_tables(diagnosis), *outliers]
+
+
+def _without_empty(
+    caption: str, columns: Sequence[Column], rows: Sequence[tuple[str, ...]], head: str, **options: Any
+) -> Table:
+    """A table without the column of this head, if it is empty in all rows."""
+    place = [column.head for column in columns].index(head)
+    kept = [k for k in range(len(columns)) if k != place or any(row[place] for row in rows)]
+    shown = tuple(tuple(row[k] for k in kept) for row in rows)
+    return Table(caption, tuple(columns[k] for k in kept), shown, **options)
 
 
 def _parameter_tables(diagnosis: Diagnosis) -> list[Table]:
-    proposed = any(finding.cause == UNKNOWN and finding.term for finding in diagnosis.findings)
-    columns: tuple[Column, ...] = (
+    findings = diagnosis.findings
+    proposed = any(finding.cause == UNKNOWN and finding.term for finding in findings)
+    columns = (
         *words("found" if proposed else "cause", "parameter"),
         *numbers("estimate", "95 % interval"),
         Column("of", text=True),
     )
-    rows: tuple[tuple[str, ...], ...] = tuple(
+    rows = [
         (
             name,
             parameter.name,
-            typeset_text(format_estimate(parameter.size, parameter.unit, signed=True)),
-            format_interval(parameter.size, parameter.unit, 1),
+            format_measured(shown_size(parameter), parameter.unit),
+            format_measured_range(shown_size(parameter)),
             _scope(parameter),
         )
-        for name, finding in zip(name_findings(diagnosis.findings), diagnosis.findings, strict=True)
+        for name, finding in zip(name_findings(findings), findings, strict=True)
         if finding.cause != UNKNOWN or finding.term
-        for parameter in finding.parameters
-    )
-    if not any(row[-1] for row in rows):
-        columns, rows = columns[:-1], tuple(row[:-1] for row in rows)
-    return [Table(caption_parameters(diagnosis.findings), columns, rows, stubs=2)] if rows else []
+        for parameter in finding.shown_parameters
+    ]
+    notes = [f"The first {MAX_PARAMETERS} of {len(rows)}."] if len(rows) > MAX_PARAMETERS else []
+    notes += [
+        f"Of {finding.cause}: differences from {finding.version.beside}."
+        for finding in findings
+        if hasattr(finding.version, "beside")
+    ]
+    note = " ".join(notes)
+    caption = caption_parameters(findings)
+    return [_without_empty(caption, columns, rows[:MAX_PARAMETERS], "of", stubs=2, note=note)] if rows else []
 
 
 def _scope(parameter: SizedParameter) -> str:
@@ -262,65 +187,65 @@ def _scope(parameter: SizedParameter) -> str:
     return ", ".join(filter(None, [joint, session]))
 
 
-def _outliers_table(traverses: pd.DataFrame) -> Table:
-    columns = (*words("session", "time", "joint"), Column("steps"), Column("residual", "%"))
-    order = traverses["departure"].abs().sort_values(ascending=False).index
-    largest = traverses.loc[order].head(MAX_TRAVERSES)
-    rows = tuple(
-        (
-            str(row["session"]),
-            row["time"].strftime("%Y-%m-%d %H:%M:%S"),
-            f"{row['joint']} {format_direction(str(row['direction']))}",
-            f"{row['steps']:,}",
-            format_percent(float(row["departure"]), with_unit=False, signed=True),
-        )
+def _outliers_table(finding: Finding, words: Words) -> Table:
+    outliers = finding.traverses
+    assert outliers is not None
+    largest = outliers.loc[outliers["departure"].abs().sort_values(ascending=False).index].head(MAX_OUTLIERS)
+    cells = [
+        words.outlier_cells(row) | {"residual": words.info.format_signed(float(row["departure"]))}
         for _, row in largest.iterrows()
-    )
-    left_out = len(largest) < len(traverses)
-    note = f"The {MAX_TRAVERSES} largest of {pluralize(len(traverses), 'count')}." if left_out else ""
-    return Table("Outlying counts", columns, rows, note=note)
-
-
-def _gain_tables(diagnosis: Diagnosis) -> list[Table]:
-    """Errors on held-out traverses, before and after."""
-    named = find_extending(diagnosis.findings)
-    names = name_findings(named)
-    steps = [(f"with {name}", one.gain) for name, one in zip(names, named, strict=True)] if names[1:] else []
-    lines: list[tuple[str, Gain | None]] = [
-        ("held-out traverses", diagnosis.gain),
-        *steps,
-        ("a new session, by its calibration", diagnosis.gain_new_session),
     ]
-    rows = tuple(
-        (
-            name,
-            format_percent(gain.baseline, with_unit=False),
-            format_percent(gain.extended, with_unit=False),
-            format_percent(gain.baseline - gain.extended, with_unit=False),
-            format_percent_range(gain.low, gain.high),
-            format_percent(gain.noise_floor, with_unit=False),
-        )
-        for name, gain in lines
-        if gain is not None
-    )
+    *heads, last = cells[0]
+    columns = (*(Column(head, text=head != "steps") for head in heads), Column(last, words.info.unit))
+    left_out = len(largest) < len(outliers)
+    note = f"The {MAX_OUTLIERS} largest of {pluralize(len(outliers), 'value')}." * left_out
+    return Table("Outlying values", columns, tuple(tuple(one.values()) for one in cells), note=note)
+
+
+def _gain_tables(diagnosis: Diagnosis, words: Words) -> list[Table]:
+    """Errors on held-out rows, before and after."""
+    named, gain = [one for one in diagnosis.findings if one.version is not None], diagnosis.gain
+    lines: list[tuple[str, Gain | None]] = [(f"held-out {words.info.row}s", gain)]
+    if len(named) > 1:
+        names = name_findings(named)
+        lines += [(f"with {name}", one.gain) for name, one in zip(names, named, strict=True)]
+    lines.append((words.info.new_session, diagnosis.gain_new_session))
+    rows = [(name, *_gain_cells(one, words)) for name, one in lines if one is not None]
     if not rows or not named:
         return []
     heads = (baseline_name(diagnosis), "extended law", "gain", "95 % interval", "noise floor")
-    columns = (Column("predicted", text=True), *(Column(head, "%") for head in heads))
+    columns = (Column("predicted", text=True), *(Column(head, words.info.unit) for head in heads))
+    info = words.info
     note = (
-        "Rms error of the step size on held-out traverses. Interval: for a fresh replicate of this campaign."
+        f"Rms error of {info.response} on {info.row}s that took no part in choosing or fitting anything: "
+        f"{(gain and gain.held_out) or info.held_out} were held out. The interval is for a fresh replicate "
+        f"of this {info.data}."
     )
-    return [Table("What the extended law gains", columns, rows, note=note)]
+    if gain is not None and gain.given_before:
+        before, after = gain.given_before
+        cells = map(words.info.format_number, (before, after, before - after))
+        rows.insert(1, (GIVEN_BEFORE, *cells, MISSING, MISSING))
+        note += (
+            " Noise that persists hides in such an error what is smaller than its slow part: a finding is "
+            "judged by the error of each row given those of the rows before it that were held out with it."
+        )
+    return [Table("What the extended law gains", columns, tuple(rows), note=note)]
+
+
+def _gain_cells(gain: Gain, words: Words) -> tuple[str, ...]:
+    cut = gain.cut.times(words.info.factor)
+    before, after, floor = map(words.info.format_number, (gain.baseline, gain.extended, gain.noise_floor))
+    return before, after, format_measured(cut), format_measured_range(cut), floor
 
 
 def _alternatives(diagnosis: Diagnosis) -> list[str]:
     sentences = [
-        f"Whatever {first} would do in this log, {second} could have done too."
+        f"Whatever {first} would do in this {diagnosis.info.data}, {second} could have done too."
         for first, second in diagnosis.aliased_causes
     ]
     inseparable = find_inseparable_pairs(diagnosis.findings, diagnosis.next_experiment)
     sentences += [f"No traverse within reach separates {one} from {other}." for one, other in inseparable]
-    return [*sentences, *describe_proposals(diagnosis.findings, "log")]
+    return [*sentences, *describe_proposals(diagnosis.findings, diagnosis.info.data)]
 
 
 def rank_causes(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:

@@ -1,18 +1,32 @@
-"""What a table's diagnosis says whatever was found: of noise, of the law, of what it cannot show."""
+"""What the diagnosis of a table says of its findings, its noise, and what it cannot show.
+
+Nothing here converts a unit: a table is in whatever units its columns have.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from scipy.special import stdtr
 
-from stickslip_fit._format import format_duration, format_p_value, format_significant, join_words
+from stickslip_fit._format import (
+    capitalize_first,
+    format_duration,
+    format_measured,
+    format_p_value,
+    format_significant,
+    join_words,
+    pluralize,
+)
 from stickslip_fit.causes.roles import ORDER, ROW_NUMBER
 from stickslip_fit.causes.table_terms import PREDICTION
-from stickslip_fit.diagnosis._summary import name_cause
+from stickslip_fit.diagnosis._unknown_summary import name_findings
+from stickslip_fit.diagnosis._words import Words, lower_first
 from stickslip_fit.diagnosis.autocorrelation import MEDIAN_OF_NORMAL
-from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, TableInfo
+from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, TO_SOME_EXTENT, Finding, TableInfo, shown_size
 from stickslip_fit.diagnosis.gross_errors import TAIL_DF, UNIT_MEDIAN
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
@@ -24,17 +38,211 @@ MAX_NEAR_P_VALUE = 0.1  # of what is told though it raises no alarm
 SUSPECT_SD, MAX_SUSPECTS = 5.0, 3  # of a row beside the others; rows
 RARE_TABLES, MAX_TABLES = 1e3, 1e6  # of which noise leaves one with such a value; more are not counted
 MIN_KEPT = 0.1  # least share of a residual that a fit leaves
+MAX_PARAMETERS_NAMED = 4
 
 
-def format_size(value: float, table: TableInfo) -> str:
-    """A size in the unit of the response.
+@dataclass(frozen=True)
+class TableWords(Words):
+    """What is said of a table."""
 
-    Examples
-    --------
-    >>> format_size(0.26398, TableInfo("F", "N", 1.0, 600, 600.0))
-    '0.264 N'
-    """
-    return f"{format_significant(value)} {table.unit}".rstrip()
+    @property
+    def table(self) -> TableInfo:
+        """The table."""
+        assert self.diagnosis.table is not None
+        return self.diagnosis.table
+
+    def outlier_cells(self, row: pd.Series) -> dict[str, str]:
+        """See `Words`: rows count from 1, below the header."""
+        columns = [self.table.roles.get(role, "") for role in ("session", "time")]
+        cells = {name: row[name] for name in columns if name in row}
+        shown = {name: f"{one:g}" if isinstance(one, float) else str(one) for name, one in cells.items()}
+        return {"row below the header": str(row[ROW_NUMBER] + 1), **shown}
+
+    def flags(self) -> list[str]:
+        """See `Words`: that the law predicts no better than a constant.
+
+        Its parameters count as in the adjusted coefficient of determination, which is then below 0.
+        """
+        diagnosis, table = self.diagnosis, self.table
+        if not np.isfinite(diagnosis.repeatability) or _is_too_small(table) or _is_constant(diagnosis):
+            return []
+        linearized = diagnosis.selection.problem.linearize()
+        if diagnosis.misfit**2 * (len(linearized) - 1) <= table.response_sd**2 * linearized.df:
+            return []
+        left, scatter = map(table.format_size, (diagnosis.misfit, table.response_sd))
+        if diagnosis.misfit <= MAX_RELATIVE_MISFIT * table.response_sd:
+            return [
+                f"The fitted law predicts {table.response} no better than its mean: it leaves {left} rms, "
+                f"and the values themselves scatter by {scatter}. Either it has nothing to say here, or its "
+                "start values are far off."
+            ]
+        in_order = ", and whether the rows stand in the order of measurement" * (
+            table.roles.get("time") == ORDER
+        )
+        return [
+            f"The fitted law leaves {left} rms where the values of {table.response} themselves scatter by "
+            f"{scatter}: check the law and its start values{in_order}."
+        ]
+
+    def notes(self) -> tuple[str, ...]:
+        """See `Words`; how much the table tells."""
+        told = describe_independence(self.table, self.diagnosis.findings)
+        return (*self.table.notes, *self.diagnosis.notes, told)
+
+    def name_cause(self, cause: str) -> str:
+        """See `Words`; with the column."""
+        if not cause.startswith(COVARIATE_PREFIX):
+            return super().name_cause(cause)
+        return f"the response follows the column {cause.removeprefix(COVARIATE_PREFIX)} ({cause})"
+
+    def tell_no_finding(self) -> list[str]:
+        """See `Words`."""
+        return [self._describe_no_misfit(), *self._describe_nearest(), *self._describe_suspects()]
+
+    def tell_findings(self) -> list[str]:
+        """See `Words`."""
+        first, *others = self.diagnosis.findings
+        sides = map(self.describe_side_effect, others)
+        return [f"{self.describe_finding(first)}.", *sides, self._describe_gain()]
+
+    def describe_carrier(self, carrier: str) -> str:
+        """See `Words`."""
+        return describe_table_carrier(carrier, self.table)
+
+    def describe_effect(self, finding: Finding) -> str:
+        """See `Words`."""
+        if finding.traverses is not None:
+            response, alone = self.table.response, len(finding.traverses) == 1
+            largest = self.table.format_size(float(finding.traverses["departure"].abs().max()))
+            count = pluralize(len(finding.traverses), "value")
+            do, up_to = ("does", "") if alone else ("do", "up to ")
+            return f"{count} of {response} {do} not belong to the rest, by {up_to}{largest}"
+        if getattr(finding.version, "sentence", ""):
+            text = str(finding.version.describe(finding.shown_parameters))
+            return text if finding.parameters else f"{text}, by {self.format_rms(finding)}"
+        phrase = capitalize_first(getattr(finding.version, "phrase", "") or finding.cause)
+        source = getattr(finding.version, "source", None)
+        if source is not None and not source.phrase:  # the phrase is then the formula, which does not name it
+            phrase = f"{capitalize_first(finding.cause)}: {lower_first(phrase)}"
+        sizes = _list_sizes(finding)
+        if 0 < len(sizes) <= MAX_PARAMETERS_NAMED:
+            return f"{phrase} ({', '.join(sizes)})"
+        return f"{phrase}, by {self.format_rms(finding)}"
+
+    def describe_proposal(self, finding: Finding) -> str:
+        """See `Words`."""
+        text = (
+            f"What the law leaves of {self.table.response} {self.describe_carrier(finding.carrier)}, by "
+            f"{self.format_rms(finding)}, in a way that no cause that was searched describes"
+        )
+        if finding.term:
+            sizes = ", ".join([finding.term, *_list_sizes(finding)])
+            return f"{text}; a term is proposed: {sizes}{self.describe_way(finding)}"
+        wave = "wave" if finding.carrier.startswith("period of ") else "smooth function of it"
+        return f"{text}; a {wave} is proposed{self.describe_way(finding)}"
+
+    def _describe_gain(self) -> str:
+        """What the named causes gain together; of what has no name, what to do about it."""
+        diagnosis, size, gain = self.diagnosis, self.table.format_size, self.diagnosis.gain
+        noise, left = size(diagnosis.repeatability), size(diagnosis.misfit)
+        named = [finding for finding in diagnosis.findings if finding.version is not None]
+        if not named:
+            if any(finding.cause == UNKNOWN for finding in diagnosis.findings):
+                return f"{self.advice_on_unknown}, where the noise is {noise}."
+            alone = sum(len(one.traverses) for one in diagnosis.findings if one.traverses is not None) == 1
+            left_out = "It is left out" if alone else "They are left out"
+            return f"{left_out}; of all others the law leaves {left} rms."
+        what = f"The law extended by {join_words(name_findings(named))}"
+        if gain is None:
+            last = diagnosis.selection.linearized
+            rms_after = float(np.sqrt(np.mean(last.unwhiten(last.residual) ** 2)))
+            cut = f"leaves {size(rms_after)} rms, instead of {left}"
+        elif gain.extended >= gain.baseline:
+            cut = f"predicts held-out rows no better, to {size(gain.extended)} rms"
+        else:
+            cut = self.describe_cut(gain)
+        if gain is not None and gain.given_before:
+            before, after = map(size, gain.given_before)
+            cut += f" ({GIVEN_BEFORE}: from {before} to {after})"
+        advice = "".join(_what_separates(finding, diagnosis) for finding in named)
+        return f"{what} {cut}; the noise is {noise}.{advice}"
+
+    def _describe_no_misfit(self) -> str:
+        diagnosis, table = self.diagnosis, self.table
+        if not np.isfinite(diagnosis.repeatability):
+            return f"Nothing can be said of this table: {diagnosis.untestable[UNKNOWN]}."
+        left = f"{table.format_size(diagnosis.misfit)} rms"
+        p = format_p_value(diagnosis.p_value, relation=True)
+        if _is_too_small(table):
+            return (
+                "This table cannot show whether anything is wrong: with noise that persists so long, its "
+                f"{table.rows:,} values of {table.response} tell as much as "
+                f"{max(round(table.independent), 1)}, too few to judge the law by. It leaves {left} (p {p})."
+            )
+        return (
+            f"Nothing is wrong that this table can show: the law leaves {left} of {table.response}, as noise "
+            f"alone would (p {p})."
+        )
+
+    def _describe_nearest(self) -> list[str]:
+        """What came closest to an alarm, as a sentence; none where nothing came near."""
+        diagnosis, table = self.diagnosis, self.table
+        misfit = diagnosis.selection.first_misfit
+        if not misfit.log_evidence_by_cause or misfit.p_value > MAX_NEAR_P_VALUE:
+            return []
+        cause = max(misfit.log_evidence_by_cause, key=lambda name: misfit.log_evidence_by_cause[name])
+        if cause != UNKNOWN:
+            what = self.name_cause(cause)
+        else:
+            carrier = misfit.best_hypothesis(UNKNOWN).cause.removeprefix(f"{UNKNOWN}:")
+            what = f"{table.response} {self.describe_carrier(carrier)} beyond the law"
+        return [
+            f"Closest to an alarm, which needs p < {diagnosis.alpha:g}: {what}. More rows, or replicates of "
+            "these, would show whether it is there."
+        ]
+
+    def _describe_suspects(self) -> list[str]:
+        """The rows that are far off beside the others, as a sentence; none where there are none."""
+        diagnosis, selection = self.diagnosis, self.diagnosis.selection
+        if not np.isfinite(diagnosis.repeatability):
+            return []
+        linearized = selection.problem.linearize()
+        size = linearized.residual / np.sqrt(np.maximum(1.0 - linearized.leverage, MIN_KEPT))
+        size /= max(float(np.median(np.abs(size))) / MEDIAN_OF_NORMAL, np.finfo(float).tiny)
+        far = np.argsort(-np.abs(size))[:MAX_SUSPECTS]
+        far = far[np.abs(size[far]) > SUSPECT_SD]
+        if not len(far):
+            return []
+        left, foretold = linearized.residual * linearized.scale, ""
+        # The filter's rows give the departure from what the rows before foretell.
+        if linearized.noise_filter is not None:
+            left = left / linearized.noise_filter.diagonal()
+            foretold = " what the rows before foretell"
+        numbers = selection.problem.rows[ROW_NUMBER].to_numpy() + 1
+        named = join_words(
+            [f"row {numbers[row]} ({self.table.format_signed(float(left[row]))})" for row in far]
+        )
+        largest = float(np.abs(size[far]).max())
+        return [
+            f"Check {named}: up to {format_significant(largest, 2)} standard deviations off{foretold}, by "
+            f"the scatter of the others. {_describe_rarity(largest, self.table, diagnosis.alpha)}, so that "
+            "nothing is set aside."
+        ]
+
+
+def _list_sizes(finding: Finding) -> list[str]:
+    return [f"{one.name} = {format_measured(shown_size(one), one.unit)}" for one in finding.shown_parameters]
+
+
+def _what_separates(finding: Finding, diagnosis: Diagnosis) -> str:
+    """Which data would separate a cause from its rivals, where the causes say what shows them best."""
+    if not finding.equivalent:
+        return ""
+    known = {cause.name: getattr(cause, "shows_best", "") for cause in diagnosis.selection.problem.causes}
+    advice = [f"for {name}, {known[name]}" for name in finding.cause_set if known.get(name)]
+    if not advice:
+        return " Data in which the two differ more would separate them."
+    return f" What would separate them: {'; '.join(advice)}."
 
 
 def describe_independence(table: TableInfo, findings: Sequence[Finding] = ()) -> str:
@@ -75,30 +283,6 @@ def describe_independence(table: TableInfo, findings: Sequence[Finding] = ()) ->
     )
 
 
-def flag_law(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
-    """That the law predicts no better than a constant, as a sentence; none where it does.
-
-    Its parameters count as in the adjusted coefficient of determination, which is then below 0.
-    """
-    if not np.isfinite(diagnosis.repeatability) or _is_too_small(table) or _is_constant(diagnosis):
-        return []
-    linearized = diagnosis.selection.problem.linearize()
-    if diagnosis.misfit**2 * (len(linearized) - 1) <= table.response_sd**2 * linearized.df:
-        return []
-    left, scatter = (format_size(size, table) for size in (diagnosis.misfit, table.response_sd))
-    if diagnosis.misfit <= MAX_RELATIVE_MISFIT * table.response_sd:
-        return [
-            f"The fitted law predicts {table.response} no better than its mean: it leaves {left} rms, and "
-            f"the values themselves scatter by {scatter}. Either it has nothing to say here, or its start "
-            "values are far off."
-        ]
-    in_order = ", and whether the rows stand in the order of measurement" * (table.roles.get("time") == ORDER)
-    return [
-        f"The fitted law leaves {left} rms where the values of {table.response} themselves scatter by "
-        f"{scatter}: check the law and its start values{in_order}."
-    ]
-
-
 def _is_too_small(table: TableInfo) -> bool:
     """Whether so few values count as independent that no law can be judged by them."""
     return table.is_correlated and round(table.independent) <= TOO_FEW_VALUES
@@ -114,67 +298,6 @@ def _is_constant(diagnosis: Diagnosis) -> bool:
         for inside in [part.block == block]
         for rows in [part.rows[inside]]
     )
-
-
-def describe_no_misfit(diagnosis: Diagnosis, table: TableInfo) -> str:
-    if not np.isfinite(diagnosis.repeatability):
-        return f"Nothing can be said of this table: {diagnosis.untestable[UNKNOWN]}."
-    if _is_too_small(table):
-        return (
-            "This table cannot show whether anything is wrong: with noise that persists so long, its "
-            f"{table.rows:,} values of {table.response} tell as much as {max(round(table.independent), 1)}, "
-            f"too few to judge the law by. It leaves {format_size(diagnosis.misfit, table)} rms "
-            f"(p {format_p_value(diagnosis.p_value, relation=True)})."
-        )
-    return (
-        f"Nothing is wrong that this table can show: the law leaves {format_size(diagnosis.misfit, table)} "
-        f"rms of {table.response}, as noise alone would "
-        f"(p {format_p_value(diagnosis.p_value, relation=True)})."
-    )
-
-
-def describe_nearest(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
-    """What came closest to an alarm, as a sentence; none where nothing came near."""
-    misfit = diagnosis.selection.first_misfit
-    if not misfit.log_evidence_by_cause or misfit.p_value > MAX_NEAR_P_VALUE:
-        return []
-    cause = max(misfit.log_evidence_by_cause, key=lambda name: misfit.log_evidence_by_cause[name])
-    if cause != UNKNOWN:
-        what = name_table_cause(cause, diagnosis)
-    else:
-        carrier = misfit.best_hypothesis(UNKNOWN).cause.removeprefix(f"{UNKNOWN}:")
-        what = f"{table.response} {describe_table_carrier(carrier, table)} beyond the law"
-    return [
-        f"Closest to an alarm, which needs p < {diagnosis.alpha:g}: {what}. More rows, or replicates of "
-        "these, would show whether it is there."
-    ]
-
-
-def describe_suspects(diagnosis: Diagnosis, table: TableInfo) -> list[str]:
-    """The rows that are far off beside the others, as a sentence; none where there are none."""
-    selection = diagnosis.selection
-    if not np.isfinite(diagnosis.repeatability):
-        return []
-    linearized = selection.problem.linearize()
-    size = linearized.residual / np.sqrt(np.maximum(1.0 - linearized.leverage, MIN_KEPT))
-    size /= max(float(np.median(np.abs(size))) / MEDIAN_OF_NORMAL, np.finfo(float).tiny)
-    far = np.argsort(-np.abs(size))[:MAX_SUSPECTS]
-    far = far[np.abs(size[far]) > SUSPECT_SD]
-    if not len(far):
-        return []
-    left, foretold = linearized.residual * linearized.scale, ""
-    # The filter's rows give the departure from what the rows before foretell.
-    if linearized.noise_filter is not None:
-        left = left / linearized.noise_filter.diagonal()
-        foretold = " what the rows before foretell"
-    numbers = selection.problem.rows[ROW_NUMBER].to_numpy() + 1
-    named = join_words([f"row {numbers[row]} ({format_signed(float(left[row]))})" for row in far])
-    largest = float(np.abs(size[far]).max())
-    return [
-        f"Check {named}: up to {format_significant(largest, 2)} standard deviations off{foretold}, by the "
-        f"scatter of the others. {_describe_rarity(largest, table, diagnosis.alpha)}, so that nothing is set "
-        "aside."
-    ]
 
 
 def _describe_rarity(size: float, table: TableInfo, alpha: float) -> str:
@@ -214,14 +337,3 @@ def describe_table_carrier(carrier: str, table: TableInfo) -> str:
     names = {PREDICTION: "what the law predicts", "group": table.roles.get("group") or "group"}
     way = ", oppositely in the two directions" if opposite or carrier != name else ""
     return f"follows {names.get(name, name).removeprefix(COVARIATE_PREFIX)}{way}"
-
-
-def name_table_cause(cause: str, diagnosis: Diagnosis) -> str:
-    """As `name_cause`, with the column."""
-    if not cause.startswith(COVARIATE_PREFIX):
-        return name_cause(cause, diagnosis)
-    return f"the response follows the column {cause.removeprefix(COVARIATE_PREFIX)} ({cause})"
-
-
-def format_signed(value: float) -> str:
-    return ("+" if value > 0 else "") + format_significant(value)

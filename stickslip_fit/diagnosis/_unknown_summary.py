@@ -22,7 +22,7 @@ from stickslip_fit._format import (
     format_uncertain,
     join_words,
 )
-from stickslip_fit._summary import Column, Table
+from stickslip_fit._summary import Column, Table, numbers
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.causes.proposed import PAUSES
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding
@@ -84,6 +84,8 @@ def describe_carrier(carrier: str) -> str:
         joint = chain.removeprefix("memory-by-direction").removeprefix("memory").strip() or "of any joint"
         onto = f" in direction {direction.removesuffix(' only')}" if direction else ""
         return f"carries over from one traverse {joint} to the next{onto}"
+    if carrier.endswith(TO_SOME_EXTENT):
+        return f"has something of {carrier.removesuffix(TO_SOME_EXTENT)}"
     if carrier.startswith("time, joint"):
         return f"changes slowly with time, in {carrier.removeprefix('time, ')}"
     return CARRIER_PHRASES.get(carrier, f"follows {name_carrier(carrier)}")
@@ -132,24 +134,8 @@ def name_findings(findings: Sequence[Finding]) -> list[str]:
     ]
 
 
-def describe_shape(finding: Finding) -> str:
-    """What structure without a name does, without a full stop."""
-    if finding.version is not None:
-        return _describe_proposal(finding)
-    left = f"What is left of the counts, {format_percent(finding.effect.estimate)} rms, "
-    if finding.withdrawn:
-        best = join_words([one.cause for one in finding.withdrawn])
-        return f"{left}is described best by {best}; {finding.note}"
-    if finding.carrier.endswith(TO_SOME_EXTENT):
-        cause = finding.carrier.removesuffix(TO_SOME_EXTENT)
-        return f"{left}has something of {cause}, but by the evidence of one or two traverses"
-    text = f"{left}{describe_carrier(finding.carrier)}, and has the shape of no known cause"
-    if not finding.closest:
-        return text
-    return f"{text}; the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it"
-
-
-def _describe_proposal(finding: Finding) -> str:
+def describe_proposal(finding: Finding) -> str:
+    """What is put into the law for structure without a name, without a full stop."""
     steps, worth = _name_steps(finding), _describe_worth(finding)
     if not finding.term and hasattr(finding.version, "period"):
         return (
@@ -220,20 +206,15 @@ def describe_scatter(diagnosis: Diagnosis) -> str:
 
 
 def describe_unknown_gain(finding: Finding, diagnosis: Diagnosis) -> str:
-    """What to do about structure without a name, as sentences."""
-    scatter = describe_scatter(diagnosis)
+    """What to do about a proposal, as sentences; empty for structure without one."""
     if finding.version is None:
-        return (
-            "The figures show it: compare them with whatever changed meanwhile, and log that as a column of "
-            "its own; until it has a name, count on errors of "
-            f"{format_percent(diagnosis.misfit)}; {scatter}."
-        )
+        return ""
     test = describe_test(finding, diagnosis)
     what = "term" if finding.term else "function"
     return (
         f"{test + ' ' if test else ''}What to do: find out what the {what} stands for"
         f"{_name_closest(finding)}, log that as a column of its own, and diagnose again. Meanwhile the "
-        f"extended law has it; {scatter}."
+        f"extended law has it; {describe_scatter(diagnosis)}."
     )
 
 
@@ -308,30 +289,11 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
     return f"{label} {format_significant(float(value), 3)}{unit}"
 
 
-def describe_company(finding: Finding) -> str:
-    """With which other causes a finding was found, as the end of a sentence; empty where it needs none.
-
-    Each may show alone, where another cause, or structure without a name, describes the data better.
-
-    Examples
-    --------
-    >>> from stickslip_fit.units import Interval
-    >>> size = Interval(0.01, 0.0, 0.02)
-    >>> describe_company(Finding("drift", None, (), 0.001, (3,), size, (), together_with=("wear",)))
-    '; found together with wear: neither is the likeliest alone'
-    """
-    others = finding.together_with
-    if not others:
-        return ""
-    alone = "neither" if len(others) == 1 else "none of them"
-    return f"; found together with {join_words(others)}: {alone} is the likeliest alone"
-
-
 def explains_tables(diagnosis: Diagnosis) -> list[Table]:
     """The causes that come closest to structure without a name, or no table."""
-    found = [one for one in diagnosis.findings if one.cause == UNKNOWN and one.explains]
+    unit, number = diagnosis.info.unit, diagnosis.info.format_number
     tables = []
-    for finding in found:
+    for finding in diagnosis.findings:
         ranked = sorted(finding.explains.items(), key=lambda item: -item[1])
         shares = [item for item in ranked if item[1] >= MIN_EXPLAINED][:MAX_EXPLAINING]
         size = finding.effect.estimate
@@ -339,33 +301,19 @@ def explains_tables(diagnosis: Diagnosis) -> list[Table]:
             (
                 cause,
                 f"{100 * share:.0f}",
-                format_percent(size * (1 - sqrt(max(1 - share, 0.0))), with_unit=False),
-                format_percent(size * sqrt(max(1 - share, 0.0)), with_unit=False),
+                number(size * (1 - sqrt(max(1 - share, 0.0)))),
+                number(size * sqrt(max(1 - share, 0.0))),
             )
             for cause, share in shares
         )
         columns = (
             Column("cause", text=True),
             Column("explains", "%"),
-            Column("takes away", "% rms"),
-            Column("leaves", "% rms"),
+            *numbers("takes away", "leaves", unit=f"{unit} rms".strip()),
         )
         note = (
-            f"Each cause by itself, of the {format_percent(size)} rms without a name: the share of its "
-            "square that the cause explains, and the rms that it would take away and leave."
+            f"Each cause by itself, of the {diagnosis.info.format_size(size)} rms without a name: the share "
+            "of its square that the cause explains, and the rms that it would take away and leave."
         )
         tables += [Table("The closest causes", columns, rows, note=note)] if rows else []
     return tables
-
-
-def describe_proposals(findings: Sequence[Finding], data: str) -> list[str]:
-    """What structure without a name is to the extended law, as sentences; `data` is "log" or "table"."""
-    unnamed = [one for one in findings if one.cause == UNKNOWN]
-    if not unnamed:
-        return []
-    if all(one.version is None for one in unnamed):
-        return ["Structure without a name is not put into the law, so that it gains nothing."]
-    return [
-        f"What is proposed for structure without a name describes this {data}; it is no cause, and what acts "
-        "may differ from it elsewhere."
-    ]

@@ -1,4 +1,4 @@
-"""Finding, Gain, NextTraverse and TableInfo: what a diagnosis consists of."""
+"""Finding, Gain and NextTraverse: what a diagnosis consists of; LogInfo and TableInfo: what it is of."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from typing import Any
 
 import pandas as pd
 
+from stickslip_fit._format import format_percent, format_significant, pluralize
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.units import UNITS, Interval, from_si
 
+GIVEN_BEFORE = "each given those before it"  # of errors in noise that persists, see `Gain.given_before`
 TO_SOME_EXTENT = " to some extent"  # ends the carrier of structure like that of a cause that is not named
 
 
@@ -68,6 +70,11 @@ class Gain:
     held_out: str = ""
     by_joint: pd.DataFrame = field(default_factory=pd.DataFrame, repr=False)
     given_before: tuple[float, ...] = ()
+
+    @property
+    def cut(self) -> Interval:
+        """By how much the error falls."""
+        return Interval(self.baseline - self.extended, self.low, self.high)
 
     @property
     def judged(self) -> tuple[float, float]:
@@ -143,7 +150,7 @@ class Finding:
     @property
     def shown_parameters(self) -> tuple[SizedParameter, ...]:
         """The parameters in the units in which they are read most easily."""
-        return tuple(self.version.readable(self.parameters)) if self.parameters else ()
+        return self.version.readable(self.parameters) if self.version is not None else self.parameters
 
 
 @dataclass(frozen=True)
@@ -179,8 +186,70 @@ class NextTraverse:
     note: str = ""
 
 
+class DataInfo:
+    """What texts and figures say of the data of a diagnosis.
+
+    Attributes
+    ----------
+    data, row, response, unit : str
+        What they are called, what a row of them and the response are, and the unit in which sizes are shown.
+    factor : float
+        By which a size is multiplied to be shown.
+    held_out, new_session : str
+        What is held out if nothing else is said, and what predictions of new sessions are called.
+    least_limit, sign : float
+        Of a figure's scale, as a law with as many parameters as rows leaves nothing; of the response by what
+        laws predict.
+    """
+
+    data, row, factor, held_out, new_session = "table", "row", 1.0, "", "a new session"
+    least_limit, sign = 0.0, 1.0
+    response: str
+    unit: str
+
+    @property
+    def nameless(self) -> str:
+        """The data, if they were never in a file."""
+        return f"a {self.data} that was never in a file"
+
+    def format_number(self, value: float) -> str:
+        """A size without its unit."""
+        return format_significant(value)
+
+    def format_size(self, value: float) -> str:
+        """A size with its unit.
+
+        Examples
+        --------
+        >>> TableInfo("F", "N", 1.0, 600, 600.0).format_size(0.26398), LogInfo().format_size(0.027)
+        ('0.264 N', '2.7 %')
+        """
+        return f"{self.format_number(value)} {self.unit}".rstrip()
+
+    def label(self, what: str) -> str:
+        """Of an axis in that unit."""
+        return f"{what} ({self.unit})" if self.unit else what
+
+    def format_signed(self, value: float) -> str:
+        """A size with its sign, without its unit."""
+        return ("+" if value > 0 else "") + self.format_number(value)
+
+
+class LogInfo(DataInfo):
+    """Of a log: sizes are relative, and shown as per cent of a step."""
+
+    data, row, response, unit, factor = "log", "traverse", "the step size", "%", 100.0
+    sign = -1.0  # larger steps, fewer of them
+    held_out, new_session = "whole configurations", "a new session, by its calibration"
+    least_limit = 0.05
+
+    def format_number(self, value: float) -> str:
+        """See `DataInfo`."""
+        return format_percent(value, with_unit=False)
+
+
 @dataclass(frozen=True)
-class TableInfo:
+class TableInfo(DataInfo):
     """The table that a diagnosis is of, where that is no log; effects are in the unit of the response.
 
     Attributes
@@ -224,6 +293,11 @@ class TableInfo:
     sha256: str = ""
     files: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+
+    @property
+    def nameless(self) -> str:
+        """See `DataInfo`."""
+        return f"{self.response} over {pluralize(self.rows, 'row')}"
 
     @property
     def is_correlated(self) -> bool:

@@ -219,8 +219,8 @@ def _search_notes(problem: DiagnosisProblem, misfit: Misfit) -> tuple[str, ...]:
 
 NO_ALTERNATIVE = "the log has neither times nor enough repeated configurations, in which more could show"
 NO_COLUMN = (
-    "no column beside the response could explain it; name the time, or time='order' where rows stand in the "
-    "order of measurement"
+    "no column beside the response could explain it; name the time, or 'order' in its place where rows stand "
+    "in the order of measurement"
 )
 
 

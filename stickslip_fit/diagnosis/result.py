@@ -15,7 +15,7 @@ from stickslip_fit._summary import Summarized
 from stickslip_fit.diagnosis._methods import describe_methods, list_references
 from stickslip_fit.diagnosis.explanation import explain_structure
 from stickslip_fit.diagnosis.extended_table import make_table_fit
-from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableInfo
+from stickslip_fit.diagnosis.finding import DataInfo, Finding, Gain, LogInfo, NextTraverse, TableInfo
 from stickslip_fit.diagnosis.gain import measure_gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import remove_effects
@@ -106,6 +106,11 @@ class Diagnosis(Summarized):
     notes: tuple[str, ...] = ()
 
     @property
+    def info(self) -> DataInfo:
+        """What the data are called, and how sizes are shown."""
+        return LogInfo() if self.table is None else self.table
+
+    @property
     def log_file(self) -> str:
         """The first file of the log, or that of the table; empty where there is none."""
         if self.table is not None:
@@ -165,7 +170,7 @@ class Diagnosis(Summarized):
             unsupported = find_unsupported(findings)
             if not unsupported:
                 break
-            selection, findings = withdraw_causes(selection, findings, unsupported, self.table)
+            selection, findings = withdraw_causes(selection, findings, unsupported, self.info)
             for one in unsupported:
                 unknown = inclusion.get(UNKNOWN) or 0.0
                 inclusion |= {UNKNOWN: max(inclusion[one.cause] or 0.0, unknown), one.cause: unknown}
@@ -341,10 +346,7 @@ class Diagnosis(Summarized):
         """
         from stickslip_fit.plotting._style import collect_axes
         from stickslip_fit.plotting.diagnosis import plot_residuals
-        from stickslip_fit.plotting.table import plot_table_finding
 
-        if self.table is not None:
-            return collect_axes(plot_table_finding(self, self.table, finding))
         return collect_axes(plot_residuals(self, finding))
 
     def plot_columns(self) -> AxesArray:

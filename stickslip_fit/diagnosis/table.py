@@ -50,7 +50,7 @@ from stickslip_fit.logs.schema import COVARIATE_PREFIX
 MAX_RATIO = 1e15  # of a response to their median, beside which the others are lost in rounding
 # Of the noise, relative to the responses' standard deviation and to the largest of them; less is rounding.
 MIN_RELATIVE_SD, ROUNDING = 1e-9, 1e-13
-NO_TIME = "no column was named as the time; where rows stand in the order of measurement, say time='order'"
+NO_TIME = "no column was named as the time; where rows stand in the order of measurement, name 'order' as it"
 N_REFITS = 4
 NO_POSITION = "no column was named as the position"
 NO_DIRECTION = "no column was named as the direction"

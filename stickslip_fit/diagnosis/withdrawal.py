@@ -14,9 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from stickslip_fit._format import format_percent, format_significant
 from stickslip_fit.diagnosis.cause_set import form_cause_set
-from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo
+from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, DataInfo, Finding, Gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.selection import Selection, refit_selection
 from stickslip_fit.diagnosis.unknown_size import compare_causes
@@ -39,9 +38,9 @@ def withdraw_causes(
     selection: Selection,
     findings: Sequence[Finding],
     unsupported: Sequence[Finding],
-    table: TableInfo | None = None,
+    info: DataInfo,
 ) -> tuple[Selection, tuple[Finding, ...]]:
-    """The selection and its findings with `unknown` for the unsupported ones; of a log without a `table`.
+    """The selection and its findings with `unknown` for the unsupported ones.
 
     What is said of it is what was found, with the size that it has as the cause: what unstructured
     alternatives see of it may be less, or another thing.
@@ -80,7 +79,7 @@ def withdraw_causes(
         withdrawn[0].effect,
         (),
         carrier=_name_carrier(withdrawn[0]),
-        note="; ".join(_explain(one, table) for one in withdrawn),
+        note="; ".join(_explain(one, info) for one in withdrawn),
         withdrawn=tuple(withdrawn),
         **compare_causes(first.misfit, first.cause),
     )
@@ -113,15 +112,12 @@ def _withdraw_terms(
     )
 
 
-def _explain(finding: Finding, table: TableInfo | None) -> str:
+def _explain(finding: Finding, info: DataInfo) -> str:
     gain = finding.gain
     assert gain is not None
-    if table is None:
-        held_out, after, before = "traverses", format_percent(gain.extended), format_percent(gain.baseline)
-    else:
-        before, after = (f"{format_significant(value)} {table.unit}".rstrip() for value in gain.judged)
-        held_out = "rows, each given those before it," if gain.given_before else "rows"
+    before, after = map(info.format_size, gain.judged)
+    given = f", {GIVEN_BEFORE}," if gain.given_before else ""
     return (
-        f"{finding.cause} is not named, since with it in the law held-out {held_out} are not predicted "
-        f"better ({after}, without it {before})"
+        f"{finding.cause} is not named, since with it in the law held-out {info.row}s{given} are not "
+        f"predicted better ({after}, without it {before})"
     )

@@ -86,6 +86,12 @@ def parameters_table(fit: TableFit) -> Table:
         notes.append(
             f"Of {join_words(list(smooth))}: coefficients of a smooth function, of no use one by one."
         )
+    beside = {
+        one.name.partition("[")[0].rpartition(".")[0]: one.meaning.rpartition(" beside ")[2]
+        for one in fit.law.parameters
+        if " beside " in one.meaning
+    }
+    notes += [f"Of {cause}: differences from {level}." for cause, level in beside.items()]
     if len(fit.autocorrelation):
         notes.append("Standard errors allow for the autocorrelation of the noise.")
     stubs = 2 if by_session else 1

@@ -70,6 +70,19 @@ def read_result_json(path: str | Path) -> dict[str, Any]:
     InputError
         As `load_result`.
     """
+    return read_saved(path, (FORMAT, VERSION), "result", "fit --json", ADVICE)
+
+
+def read_saved(
+    path: str | Path, form: tuple[str, int], kind: str, command: str, advice: str
+) -> dict[str, Any]:
+    """The content of a file of some form and at most that version, which a command wrote, unharmed.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is of another form or a newer version, or is damaged.
+    """
     try:
         text = Path(path).read_text(encoding="utf-8")
         content = json.loads(text, parse_float=_finite, parse_int=_whole, parse_constant=_finite)
@@ -77,18 +90,18 @@ def read_result_json(path: str | Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(InputIssue(f"cannot be read ({error.strerror})", str(path))) from None
     except (ValueError, RecursionError) as error:
-        message = f"is no JSON ({shorten(str(error), 80)}); give a file that `fit --json` wrote"
+        message = f"is no JSON ({shorten(str(error), 80)}); give a file that `{command}` wrote"
         raise InputError(InputIssue(message, str(path))) from None
     schema = content.get("schema") if isinstance(content, dict) else None
-    form, _, version = str(schema).rpartition("/")
-    if form != FORMAT or not version.isdecimal() or version.startswith("0"):
-        message = "is no saved result; give a file that `fit --json` wrote"
+    name, _, version = str(schema).rpartition("/")
+    if name != form[0] or not version.isdecimal() or version.startswith("0"):
+        message = f"is no saved {kind}; give a file that `{command}` wrote"
         raise InputError(InputIssue(message, str(path)))
-    if int(version[:9]) > VERSION:
+    if int(version[:9]) > form[1]:
         message = f"was made by a newer version of stickslip-fit (its format is {shorten(version, 9)}, "
-        raise InputError(InputIssue(f"{message}here {VERSION} is known); update stickslip-fit", str(path)))
+        raise InputError(InputIssue(f"{message}here {form[1]} is known); update stickslip-fit", str(path)))
     if content.get("checksum", checksum) != checksum:
-        message = f"is a damaged result: it is not what was saved (its checksum is another); {ADVICE}"
+        message = f"is a damaged {kind}: it is not what was saved (its checksum is another); {advice}"
         raise InputError(InputIssue(message, str(path)))
     return dict(content)
 

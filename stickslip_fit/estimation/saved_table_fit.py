@@ -6,7 +6,6 @@ these functions over. A checksum finds what was damaged or edited; a newer forma
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,7 @@ from stickslip_fit._function import NumericFunction
 from stickslip_fit.causes.roles import TableRoles
 from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.estimation._table_law_json import Functions, list_functions, restore_table_law
-from stickslip_fit.estimation.result import compute_checksum
-from stickslip_fit.estimation.saved_result import is_covariance, require
+from stickslip_fit.estimation.saved_result import is_covariance, read_saved, require
 from stickslip_fit.estimation.table_fit import FORMAT, VERSION, TableFit, TableSource
 
 ADVICE = "fit the table again"
@@ -40,7 +38,7 @@ def load_table_fit(path: str | Path, functions: Iterable[Callable[..., Any]] = (
         If the file cannot be read, is no saved fit of a table, is damaged or of a newer version, or needs
         functions that were not handed over.
     """
-    content = _read(path)
+    content = read_saved(path, (FORMAT, VERSION), "fit of a table", "diagnose-table --save-law", ADVICE)
     given = {NumericFunction(function).importable_name(): function for function in functions}
     if missing := sorted(set(list_functions(content["law"])) - set(given)):
         names = ", ".join(missing)
@@ -53,26 +51,6 @@ def load_table_fit(path: str | Path, functions: Iterable[Callable[..., Any]] = (
         what = error.args[0] if error.args else type(error).__name__
         message = f"is a damaged fit: {shorten(str(what), 200)}; {ADVICE}"
         raise InputError(InputIssue(message, str(path))) from None
-
-
-def _read(path: str | Path) -> dict[str, Any]:
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(InputIssue(f"cannot be read ({error.strerror})", str(path))) from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(InputIssue(f"is no JSON ({shorten(str(error), 80)})", str(path))) from None
-    form, _, version = str(content.get("schema") if isinstance(content, dict) else "").rpartition("/")
-    if form != FORMAT or not version.isdecimal():
-        message = "is no saved fit of a table; give a file that `diagnose-table --save-law` wrote"
-        raise InputError(InputIssue(message, str(path)))
-    if int(version[:9]) > VERSION:
-        message = f"was made by a newer version of stickslip-fit (its format is {shorten(version, 9)}, "
-        raise InputError(InputIssue(f"{message}here {VERSION} is known); update stickslip-fit", str(path)))
-    if content.get("checksum") != compute_checksum(content):
-        message = f"is a damaged fit: it is not what was saved (its checksum is another); {ADVICE}"
-        raise InputError(InputIssue(message, str(path)))
-    return dict(content)
 
 
 def _build(content: Mapping[str, Any], functions: Functions) -> TableFit:

@@ -9,9 +9,10 @@ import numpy as np
 from stickslip_fit._format import (
     MISSING,
     format_direction,
+    format_measured,
+    format_measured_range,
     format_percent,
-    format_percent_range,
-    format_significant,
+    format_share,
     format_value,
     join_words,
     pluralize,
@@ -21,7 +22,7 @@ from stickslip_fit.law_comparison.comparison import JointComparison, LawComparis
 from stickslip_fit.law_comparison.experiments import Experiment
 from stickslip_fit.law_comparison.held_out import MIN_CONFIGURATIONS, ErrorEstimate
 from stickslip_fit.logs.log import file_names
-from stickslip_fit.units import PRISMATIC
+from stickslip_fit.units import PRISMATIC, Interval
 
 MAX_EXPERIMENTS = 3  # of a joint where there is little room
 
@@ -109,7 +110,7 @@ def _errors(comparison: LawComparison) -> Table:
 def _error(error: ErrorEstimate) -> str:
     if isnan(error.rms):
         return MISSING
-    return f"{format_percent(error.rms)} ({format_percent_range(error.low, error.high)})"
+    return format_share(Interval(error.rms, error.low, error.high))
 
 
 def _regimes(comparison: LawComparison) -> Table:
@@ -129,7 +130,8 @@ def _regimes(comparison: LawComparison) -> Table:
     note = (
         "If the physical law holds. Probability: of friction-limited steps without load, lambda = D / (a_f "
         "T1²) above 1. r: full load over friction, with the arm out; its interval of 95 % allows for "
-        "friction that is not Coulomb's."
+        "friction that is not Coulomb's. a_f: friction over mass, in units of g, the gravitational "
+        "acceleration (9.81 m/s²); T1: time of the ramp; D: travel of the foot."
     )
     return Table("Regimes by the physical law", columns, rows, stubs=1, note=note)
 
@@ -153,7 +155,8 @@ def _share(regime: Regime) -> str:
     if isnan(regime.share):
         return MISSING
     low, high = regime.share_interval
-    return f"{format_significant(regime.share, 3)} ({low:.3f} to {high:.3f})".replace("-", "−")
+    shown = Interval(regime.share, low, high)
+    return f"{format_measured(shown)} ({format_measured_range(shown)})"
 
 
 def _drive(regime: Regime) -> str:

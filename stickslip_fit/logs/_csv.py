@@ -59,8 +59,6 @@ def read_records(raw: bytes, start: int, line: int, separator: str) -> Iterator[
     >>> [(one.line, one.cells) for one in read_records(b'1,"two\nlines"\n\n4,5\n', 0, 1, ",")]
     [(1, ['1', 'two\nlines']), (4, ['4', '5'])]
     """
-    # A quotation mark that is never closed makes one cell of all that follows.
-    csv.field_size_limit(max(csv.field_size_limit(), len(raw)))
     lines: list[re.Match[bytes]] = []
 
     def decode_lines() -> Iterator[str]:
@@ -68,7 +66,16 @@ def read_records(raw: bytes, start: int, line: int, separator: str) -> Iterator[
             lines.append(found)
             yield found[0].decode("utf-8", "replace")
 
-    for cells in csv.reader(decode_lines(), delimiter=separator):
+    reader = csv.reader(decode_lines(), delimiter=separator)
+    while True:
+        # A quotation mark that is never closed makes one cell of all that follows. All readers share it.
+        limit = csv.field_size_limit(len(raw) + 1)
+        try:
+            cells = next(reader, None)
+        finally:
+            csv.field_size_limit(limit)
+        if cells is None:
+            return
         if cells:
             first, end = lines[0].start(), lines[-1].end()
             yield Record(cells, line, raw[first:end].rstrip(b"\r\n"), end)

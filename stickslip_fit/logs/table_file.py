@@ -256,7 +256,9 @@ def _find_layout(rows: list[list[str]], commented: list[str]) -> _Layout:
     if before:
         left_out.append(f"{pluralize(before, 'line')} above the header left out")
     if units:
-        left_out.append("the row of units below the header left out")
+        pairs = zip(names, rows[first - 1], strict=False)
+        named = ", ".join(f"{name} in {unit.strip('[]()')}" for name, unit in pairs if unit)
+        left_out.append(f"the row of units below the header left out ({named})")
     return _Layout(_fit_names(names, rows[first:], width), first, left_out)
 
 

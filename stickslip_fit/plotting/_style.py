@@ -205,7 +205,8 @@ def make_legend_entry(
     label: str, colour: str, marker: str = "", line: LineStyle = "", width: float | None = None
 ) -> Line2D:
     """A legend's entry; a wide line stands for a band."""
-    return Line2D([], [], color=colour, marker=marker, linestyle=line, linewidth=width, label=label)
+    with report_style():
+        return Line2D([], [], color=colour, marker=marker, linestyle=line, linewidth=width, label=label)
 
 
 def direction_entries(

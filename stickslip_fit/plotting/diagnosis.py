@@ -10,10 +10,10 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from stickslip_fit._format import format_percent, format_significant, pluralize
+from stickslip_fit._format import pluralize
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis import Diagnosis, Finding
-from stickslip_fit.diagnosis._summary import baseline_name
+from stickslip_fit.diagnosis._words import baseline_name
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause
 from stickslip_fit.diagnosis.residuals import compare_residuals, finding_shape
 from stickslip_fit.diagnosis.separability import (
@@ -41,7 +41,7 @@ from stickslip_fit.plotting._style import (
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture
 from stickslip_fit.plotting.residuals import draw_finding, draw_residuals_overview
-from stickslip_fit.plotting.table import plot_columns, plot_table_finding
+from stickslip_fit.plotting.table import draw_table_finding, plot_columns
 
 MAX_CAUSES = 8
 MIN_LOG10_PROBABILITY = -12.0  # smaller ones are drawn there
@@ -61,10 +61,8 @@ def ranking_picture(diagnosis: Diagnosis) -> Picture:
     key, title = "ranking", "How likely each cause is"
     steps = list_selection_steps(diagnosis)
     if not steps[0][1].log_evidence_by_cause:
-        what = "traverses" if diagnosis.table is None else "rows"
-        return make_missing_picture(
-            key, title, f"It would need more {what}; see what could not have been seen."
-        )
+        lacking = f"It would need more {diagnosis.info.row}s; see what could not have been seen."
+        return make_missing_picture(key, title, lacking)
     caption = (
         "If one cause or chance alone is at work: the probability of each, on a scale of powers of ten; an "
         "arrow stands for less. Beforehand chance alone is as likely as all causes together. "
@@ -160,36 +158,22 @@ def _format_power(power: float) -> str:
     return f"10⁻{f'{-power:.0f}'.translate(digits)}"
 
 
-FLOOR_LABEL = "repeatability and rounding"
-
-
 def gain_picture(diagnosis: Diagnosis) -> Picture:
     """Held-out errors of the published and the extended law in each session."""
-    gain, is_log = diagnosis.gain, diagnosis.table is None
-    key, title = "gain", f"Errors on held-out {'traverses' if is_log else 'rows'}, by session"
+    gain, info = diagnosis.gain, diagnosis.info
+    key, title = "gain", f"Errors on held-out {info.row}s, by session"
     if gain is None or gain.by_session.empty or not diagnosis.findings:
-        what = "traverses" if is_log else "rows"
-        return make_missing_picture(
-            key, title, f"It would need a named cause, and {what} beside those that fit it."
-        )
+        lacking = f"It would need a named cause, and {info.row}s beside those that fit it."
+        return make_missing_picture(key, title, lacking)
     sessions = len(gain.by_session)
     caption = f"The latest {MAX_SESSIONS} of {pluralize(sessions, 'session')}. " * (sessions > MAX_SESSIONS)
-    before, after, floor = (
-        _format_error(value, diagnosis) for value in (gain.baseline, gain.extended, gain.noise_floor)
-    )
-    name = baseline_name(diagnosis) if is_log else "law as it was"
+    before, after, floor = map(info.format_size, (gain.baseline, gain.extended, gain.noise_floor))
     caption += (
-        f"Each {'traverse' if is_log else 'row'} predicted by laws to which it contributed nothing, the "
-        f"search for causes included: {before} rms by the {name}, {after} by the extended one, over all "
-        f"sessions. No law can be better than the line, {floor}."
+        f"Each {info.row} predicted by laws to which it contributed nothing, the search for causes included: "
+        f"{before} rms by the {baseline_name(diagnosis)}, {after} by the extended one, over all sessions. "
+        f"No law can be better than the line, {floor}."
     )
     return make_picture(key, title, caption, plot_gain(diagnosis))
-
-
-def _format_error(value: float, diagnosis: Diagnosis) -> str:
-    if diagnosis.table is None:
-        return format_percent(value)
-    return f"{format_significant(value)} {diagnosis.table.unit}".rstrip()
 
 
 def plot_gain(diagnosis: Diagnosis) -> Figure:
@@ -200,21 +184,18 @@ def plot_gain(diagnosis: Diagnosis) -> Figure:
     InputError
         If no cause was named, so that there is no gain.
     """
-    gain, table = diagnosis.gain, diagnosis.table
+    gain, info = diagnosis.gain, diagnosis.info
     if gain is None or gain.by_session.empty:
-        what = "traverse" if table is None else "row"
-        raise InputError(f"there is no gain to draw: no cause was named, or no {what} could be held out")
+        raise InputError(f"there is no gain to draw: no cause was named, or no {info.row} could be held out")
     sessions = diagnosis.selection.problem.rows["session"].astype(object).unique()
     in_order = gain.by_session.set_index("session").reindex(sessions).dropna().reset_index(names="session")
-    recent, factor = in_order.tail(MAX_SESSIONS), 100.0 if table is None else 1.0
+    recent = in_order.tail(MAX_SESSIONS)
     place, crowded = np.arange(len(recent)), len(recent) > MAX_HORIZONTAL_LABELS
-    before, after = (factor * recent[name].to_numpy(float) for name in ("baseline", "extended"))
-    unit = "%" if table is None else table.unit
-    name = baseline_name(diagnosis) if table is None else "law as it was"
+    before, after = (info.factor * recent[name].to_numpy(float) for name in ("baseline", "extended"))
     legend = [
-        make_legend_entry(name, VERMILLION, marker="s"),
+        make_legend_entry(baseline_name(diagnosis), VERMILLION, marker="s"),
         make_legend_entry("extended law", BLUE, marker="o"),
-        make_legend_entry(FLOOR_LABEL if table is None else "noise", INK, line="--"),
+        make_legend_entry("noise floor", INK, line="--"),
     ]
     with report_style():
         figure, axes = make_figure([1.6], 1, legend, top=0.12, bottom=0.9 if crowded else 0.3)
@@ -222,10 +203,10 @@ def plot_gain(diagnosis: Diagnosis) -> Figure:
         axis.vlines(place, after, before, color=GREY, lw=0.9)
         axis.plot(place, before, ls="", marker="s", ms=4.5, color=VERMILLION)
         axis.plot(place, after, ls="", marker="o", ms=4.5, color=BLUE)
-        axis.axhline(factor * gain.noise_floor, color=INK, lw=0.8, ls="--")
+        axis.axhline(info.factor * gain.noise_floor, color=INK, lw=0.8, ls="--")
         label_sessions(axis, list(recent["session"]), vertical=crowded)
         axis.set_ylim(0.0, 1.1 * max(float(before.max()), float(after.max())))
-        axis.set_ylabel(f"rms error ({unit})" if unit else "rms error")
+        axis.set_ylabel(info.label("rms error"))
     return figure
 
 
@@ -236,12 +217,10 @@ def plot_diagnosis(diagnosis: Diagnosis) -> Figure:
     """
     shapes = {each.cause for each in diagnosis.selection.selected if each.misfit is not None}
     numbers = [k for k, finding in enumerate(diagnosis.findings) if finding.cause in shapes]
-    if diagnosis.table is not None:
-        if numbers:
-            return plot_table_finding(diagnosis, diagnosis.table, numbers[0])
-        return plot_columns(diagnosis, diagnosis.table)
     if numbers:
         return plot_residuals(diagnosis, numbers[0])
+    if diagnosis.table is not None:
+        return plot_columns(diagnosis, diagnosis.table)
     comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
     joint = int(comparison.rows["joint"].mode()[0])
     return draw_residuals_overview(joint, comparison, _machine_of(diagnosis))
@@ -264,9 +243,11 @@ def plot_residuals(diagnosis: Diagnosis, finding: int) -> Figure:
     chosen = diagnosis.findings[finding]
     selected = diagnosis.selection.behind(chosen)
     if selected.misfit is None:
-        raise InputError("misfires have no shape to draw; the finding's `traverses` are those counts")
-    shape = finding_shape(diagnosis.selection, selected)
+        raise InputError("outlying values have no shape to draw; the finding's `traverses` are those rows")
     comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
+    if diagnosis.table is not None:
+        return draw_table_finding(diagnosis, diagnosis.table, chosen, selected, comparison)[1]
+    shape = finding_shape(diagnosis.selection, selected)
     return draw_finding(chosen, selected, shape, comparison, _machine_of(diagnosis))[1]
 
 
@@ -283,7 +264,7 @@ def confusion_picture(diagnosis: Diagnosis) -> Picture:
     if chosen is None:
         return make_missing_picture(key, title, "It would need a named cause that another one resembles.")
     finding, misfit, causes = chosen
-    data = "logs" if diagnosis.table is None else "tables"
+    data = f"{diagnosis.info.data}s"
     rates = compute_confusion_rates(causes, misfit, effect_strength(finding, diagnosis))
     if np.nanmax(rates) < MIN_RATE:
         lacking = (

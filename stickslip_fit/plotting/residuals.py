@@ -6,11 +6,10 @@ Periodic findings are drawn folded by their period.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -20,9 +19,10 @@ from stickslip_fit.causes.position import is_reversed
 from stickslip_fit.diagnosis import Finding
 from stickslip_fit.diagnosis._unknown_summary import name_carriers
 from stickslip_fit.diagnosis.extension import SelectedCause
+from stickslip_fit.diagnosis.finding import LogInfo
 from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN
-from stickslip_fit.diagnosis.residuals import ResidualComparison, bin_residuals, bin_values, find_carrier
+from stickslip_fit.diagnosis.residuals import ResidualComparison, find_carrier
 from stickslip_fit.estimation.profile import follows_position
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times, position_columns
 from stickslip_fit.machine import Machine, mean_load
@@ -30,7 +30,6 @@ from stickslip_fit.plotting._style import (
     DIRECTION_COLOURS,
     GREY,
     INK,
-    TITLE_LINE,
     direction_entries,
     direction_styles,
     make_figure,
@@ -41,13 +40,21 @@ from stickslip_fit.plotting._style import (
     thin_rows,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture, name_traverses
-from stickslip_fit.units import Z_95, from_si
-
-ColouredRows = Mapping[str, BoolArray]
-"""Which rows are drawn in each colour, shape (n,)."""
+from stickslip_fit.plotting.sides import (
+    LIMIT_QUANTILE,
+    ColouredRows,
+    caption_overview,
+    choose_sides,
+    draw_overview,
+    draw_sides,
+    envelope_entry,
+    picture_sides,
+    rms,
+)
+from stickslip_fit.units import from_si
 
 FIT_MAX_POINTS = 900  # of a joint
-LIMIT_QUANTILE, FIT_LIMIT_ZOOM = 0.98, 1.6  # of a scale, see `robust_limit`
+FIT_LIMIT_ZOOM = 1.6  # of a scale, see `robust_limit`
 
 
 def fit_residuals_picture(rows: pd.DataFrame, machine: Machine) -> Picture:
@@ -219,12 +226,6 @@ def _varies(values: Array) -> bool:
     return len(known) > 1 and bool(np.ptp(known) > 1e-6 * max(1.0, float(np.abs(known).max())))
 
 
-MAX_POINTS = 500  # a panel
-LIMIT_ZOOM, SMALLEST_LIMIT = 1.35, 0.05  # %
-ENVELOPE_COLOUR = "#dcdcd8"
-N_COLUMNS = 4  # panels side by side
-MIN_LIMIT = 0.01  # %: a law with as many parameters as traverses leaves nothing
-MAX_LIMIT_RATIO = 3.0  # times the residuals after: the scale may cut those before
 TRAVERSE_LABEL = "traverse"
 BEFORE_LABEL = "the traverse before (%)"
 PROPOSAL_LABEL = "what is proposed, as fitted"
@@ -247,33 +248,21 @@ def finding_picture(
     comparison : ResidualComparison
     machine : Machine
     """
-    is_named = selected.version is not None
-    title = f"{finding.cause}: residuals{' before and after' if is_named else ''}"
-    key = "finding-" + "".join(letter if letter.isalnum() else "-" for letter in finding.cause)
     label, figure = draw_finding(finding, selected, shape, comparison, machine)
-    before, after = (
-        format_percent(float(np.sqrt(np.mean(side**2)))) for side in (comparison.before, comparison.after)
-    )
     over = f"the {label}" if label == EFFECT_LABEL else label
     over += ", one session after the other" * (label == CONCATENATED_HOURS)
-    caption = f"Residuals over {over}. Points: traverses; lines: means by class with 95 % bars. "
+    title, above = f"{finding.cause}: residuals", ""
     if _is_proposal(selected):
         proposed = finding.term or f"a smooth function of {name_carriers(finding)}".rstrip(",")
         title = f"What is proposed: {proposed}"
-        caption += (
-            f"Above: what the law leaves without it; dashed: the {'term' if finding.term else 'function'} as "
-            "fitted, beyond what recalibration absorbs; both should agree within the bars. Below: what is "
-            f"left with it ({after} rms); the lines should lie within the grey band, where noise alone would "
-            "keep them."
+        above = (
+            f"what the law leaves without it; dashed: the {'term' if finding.term else 'function'} as "
+            "fitted, beyond what recalibration absorbs; both should agree within the bars"
         )
-    elif is_named:
-        caption += (
-            f"Above: under the law as it was ({before} rms). Below: with all that was found in it ({after} "
-            "rms); the lines should lie within the grey band, where noise alone would keep them."
-        )
-    else:
-        caption += f"{after} rms; noise alone would keep the lines within the grey band."
-    return make_picture(key, title, caption, figure)
+    elif selected.version is not None:
+        title += " before and after"
+        above = f"under the law as it was ({format_percent(rms(comparison.before))} rms)"
+    return picture_sides(finding, title, over, above, rms(comparison.after), LogInfo(), figure)
 
 
 def draw_finding(
@@ -286,34 +275,15 @@ def draw_finding(
     label, values = fold_phase(finding.carrier, rows, shape) or _find_carrier_values(
         selected, shape, comparison, subset, machine
     )
-    sides, legend = [("after", comparison.after, comparison.null_after)], _residual_entries()
-    if _is_proposal(selected):
-        # A partial residual: what is left with the proposal in the law, and what the proposal does.
-        sides = [("without", comparison.after + shape, comparison.null_after), ("with", *sides[0][1:])]
+    panels = {
+        joint_name(joint, machine): _by_direction(rows, (rows["joint"] == joint).to_numpy())
+        for joint in joints
+    }
+    partial, legend = shape if _is_proposal(selected) else None, _residual_entries()
+    if partial is not None:
         legend.append(make_legend_entry(PROPOSAL_LABEL, INK, line="--"))
-    elif selected.version is not None:
-        sides.insert(0, ("before", comparison.before, comparison.null_before))
-    with report_style():
-        figure, axes = make_figure([1.5] * len(sides), len(joints), legend, top=TITLE_LINE + 0.14)
-        sides = [(name, 100 * residual, 100 * null) for name, residual, null in sides]
-        residuals = np.abs(np.concatenate([residual for _, residual, _ in sides]))
-        limit = max(robust_limit(residuals, LIMIT_QUANTILE, LIMIT_ZOOM), SMALLEST_LIMIT)
-        masks = [(rows["joint"] == joint).to_numpy() & np.isfinite(values) for joint in joints]
-        kinds_of = [_by_direction(rows, mask) for mask in masks]
-        for column, (joint, subset, kinds) in enumerate(zip(joints, masks, kinds_of, strict=True)):
-            axes[0, column].set_title(joint_name(joint, machine))
-            axes[-1, column].set_xlabel(label)
-            _set_ticks(axes[-1, column], label, values[subset], 7 if len(joints) < 3 else 4)
-            for axis, (_, residual, null) in zip(axes[:, column], sides, strict=True):
-                limit = max(limit, 1.1 * draw_means(axis, values, residual, null, kinds))
-            if _is_proposal(selected):
-                draw_effect(axes[0, column], values, 100 * shape, kinds)
-        for axes_of_joint, kinds in zip(axes.T, kinds_of, strict=True):
-            for axis, (_, residual, _) in zip(axes_of_joint, sides, strict=True):
-                _draw_points(axis, values, residual, kinds, limit, rows)
-        for axis, (name, _, _) in zip(axes[:, 0], sides, strict=True):
-            axis.set_ylim(-limit, limit)
-            axis.set_ylabel(f"{name + ': ' if len(sides) > 1 else ''}residual (%)")
+    sides = choose_sides(comparison, without=partial, extended=selected.version is not None)
+    figure = draw_sides(sides, label, values, panels, legend, LogInfo(), effect=partial, numbers=rows.index)
     return label, figure
 
 
@@ -367,108 +337,30 @@ def _is_proposal(selected: SelectedCause) -> bool:
 
 def residuals_overview_picture(joint: int, comparison: ResidualComparison, machine: Machine) -> Picture:
     """A joint's residuals against each quantity that varied."""
-    extended = bool(np.any(comparison.before != comparison.after))
     subset = (comparison.rows["joint"] == joint).to_numpy()
     key, title = f"everything-{joint}", f"Residuals against each quantity, {joint_name(joint, machine)}"
     if not _select_covariates(comparison.rows, subset, machine):
         return make_missing_picture(key, title, "It would need a second traverse.")
-    rms = format_percent(float(np.sqrt(np.mean(comparison.after[subset] ** 2))))
-    before = " Dotted: the means under the law as it was." if extended else ""
+    caption = caption_overview(comparison, subset, LogInfo())
     if CONCATENATED_HOURS in _select_covariates(comparison.rows, subset, machine):
-        before += f" {CONCATENATED_HOURS.capitalize()}: one after the other, without the nights between."
-    caption = (
-        f"Mean residuals{' with all that was found in it' if extended else ''}, by classes "
-        f"of each quantity; {rms} rms. Grey: where all means of a panel lie in 95 of 100 logs in which "
-        f"nothing is wrong.{before}"
-    )
+        caption += f" {CONCATENATED_HOURS.capitalize()}: one after the other, without the nights between."
     return make_picture(key, title, caption, draw_residuals_overview(joint, comparison, machine))
 
 
 def draw_residuals_overview(joint: int, comparison: ResidualComparison, machine: Machine) -> Figure:
     """A panel for each quantity."""
-    rows, before, after = comparison.rows, 100 * comparison.before, 100 * comparison.after
-    null_before, null_after = 100 * comparison.null_before, 100 * comparison.null_after
-    subset = (rows["joint"] == joint).to_numpy()
-    columns = _select_covariates(rows, subset, machine)
-    legend = [entry for entry in _residual_entries() if entry.get_label() != TRAVERSE_LABEL]
-    heights = [1.15] * -(-len(columns) // N_COLUMNS)
-    with report_style():
-        figure, axes = make_figure(
-            heights, N_COLUMNS, legend, top=0.12, right=0.16, down=0.55, share_x="none", share_y="all"
-        )
-        largest, largest_before = 0.0, 0.0
-        for axis, (label, values) in zip(axes.ravel(), columns.items(), strict=False):
-            kept = subset & np.isfinite(values)
-            kinds = _by_direction(rows, kept)
-            largest = max(largest, draw_means(axis, values, after, null_after, kinds))
-            if np.any(before != after):
-                size = draw_means(axis, values, before, null_before, kinds, dotted=True)
-                largest_before = max(largest_before, size)
-            axis.set_xlabel(label)
-            _set_ticks(axis, label, values[kept], 4)
-        for axis in axes.ravel()[len(columns) :]:
-            axis.set_axis_off()
-        limit = 1.1 * max(largest, min(largest_before, MAX_LIMIT_RATIO * largest), MIN_LIMIT)
-        axes[0, 0].set_ylim(-limit, limit)
-        for axis in axes[:, 0]:
-            axis.set_ylabel("residual (%)")
-    return figure
+    subset = (comparison.rows["joint"] == joint).to_numpy()
+    columns = _select_covariates(comparison.rows, subset, machine)
+    entries = [entry for entry in _residual_entries() if entry.get_label() != TRAVERSE_LABEL]
+    return draw_overview(columns, comparison, _by_direction(comparison.rows, subset), entries, LogInfo())
 
 
 def _residual_entries() -> list[Line2D]:
     return [
         make_legend_entry(TRAVERSE_LABEL, GREY, marker="."),
         *direction_entries(marker="o", line="-", label="mean, direction {}"),
-        make_legend_entry("95 % of logs with nothing wrong", ENVELOPE_COLOUR, line="-", width=6.0),
+        envelope_entry("log"),
     ]
-
-
-def _draw_points(
-    axis: Axes, values: Array, residual: Array, kinds: ColouredRows, limit: float, rows: pd.DataFrame
-) -> None:
-    for colour, kind in kinds.items():
-        index = np.flatnonzero(kind)
-        if len(index) > MAX_POINTS:
-            index = np.sort(np.random.default_rng(0).choice(index, MAX_POINTS, replace=False))
-        y = np.clip(residual[index], -limit, limit)
-        (points,) = axis.plot(values[index], y, ls="", marker="o", ms=1.8, mew=0, alpha=0.35, color=colour)
-        name_traverses(points, rows.index[index])
-
-
-def draw_means(
-    axis: Axes, values: Array, residual: Array, null: Array, kinds: ColouredRows, *, dotted: bool = False
-) -> float:
-    """Means by class, dotted or with their errors over the envelope; the largest size drawn."""
-    classes, largest = bin_values(_known(values, kinds)), 0.0
-    if not dotted:
-        axis.axhline(0.0, color=INK, lw=0.7, zorder=1)
-    for colour, kind in kinds.items():
-        if not (kind & (classes >= 0)).any():
-            continue
-        binned = bin_residuals(residual, null, values, classes, kind)
-        x, y, band = binned.centre, binned.mean, binned.envelope
-        if dotted:
-            axis.plot(x, y, color=colour, ls=":", lw=0.9)
-            band = np.zeros(len(band))
-        else:
-            error = Z_95 * binned.error
-            axis.errorbar(x, y, yerr=error, color=colour, marker="o", ms=3.0, lw=0.9, elinewidth=0.8)
-            axis.fill_between(x, -band, band, color=ENVELOPE_COLOUR, lw=0, zorder=0.5)
-        largest = max(largest, float(np.max(np.maximum(np.abs(y), band))))
-    return largest
-
-
-def draw_effect(axis: Axes, values: Array, effect: Array, kinds: ColouredRows) -> None:
-    """Means of an effect by the classes of the residuals, dashed."""
-    classes = bin_values(_known(values, kinds))
-    for kind in kinds.values():
-        inside = kind & (classes >= 0)
-        means = pd.DataFrame({"x": values[inside], "y": effect[inside]}).groupby(classes[inside]).mean()
-        axis.plot(means["x"], means["y"], color=INK, ls="--", lw=1.1, zorder=4)
-
-
-def _known(values: Array, kinds: ColouredRows) -> Array:
-    return np.where(np.any(list(kinds.values()), axis=0), values, np.nan)
 
 
 def _by_direction(rows: pd.DataFrame, subset: BoolArray) -> ColouredRows:
@@ -480,10 +372,3 @@ def _select_covariates(rows: pd.DataFrame, subset: BoolArray, machine: Machine) 
     """The quantities that varied in a subset of the rows, for all rows."""
     varied = collect_covariates(rows[subset], machine)
     return {label: values for label, values in collect_covariates(rows, machine).items() if label in varied}
-
-
-def _set_ticks(axis: Axes, label: str, values: Array, most: int) -> None:
-    if "°)" in label:
-        set_angle_ticks(axis, float(values.min()), float(values.max()), most)
-    else:
-        axis.locator_params(axis="x", nbins=most)

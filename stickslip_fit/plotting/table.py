@@ -7,11 +7,10 @@ of 100 tables in which nothing is wrong, the noise being as autocorrelated as he
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -30,7 +29,7 @@ from stickslip_fit.diagnosis.residuals import (
     explained_share,
     find_carrier,
 )
-from stickslip_fit.errors import InputError, shorten
+from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import TableFit
 from stickslip_fit.plotting._style import (
     BLUE,
@@ -41,22 +40,21 @@ from stickslip_fit.plotting._style import (
     make_figure,
     make_legend_entry,
     report_style,
-    robust_limit,
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture
-from stickslip_fit.plotting.residuals import (
-    ENVELOPE_COLOUR,
-    LIMIT_QUANTILE,
-    LIMIT_ZOOM,
-    N_COLUMNS,
+from stickslip_fit.plotting.sides import (
     ColouredRows,
-    draw_effect,
-    draw_means,
+    caption_overview,
+    choose_sides,
+    draw_overview,
+    draw_sides,
+    envelope_entry,
+    picture_sides,
+    rms,
 )
 
-MAX_POINTS, FEW_POINTS, MAX_PANELS = 800, 150, 24
+MAX_POINTS, MAX_PANELS = 800, 24
 MIN_CARRIER_SHARE = 0.5  # of an effect's square; what no column carries so far is drawn over itself
-JITTER = 0.12  # of points of one label, whose values would lie on each other
 FITTED_EFFECT = "effect of the finding, as fitted"
 
 
@@ -143,22 +141,7 @@ def _entries(kinds: Mapping[str, BoolArray], *, points: bool = True, effect: boo
     entries += [make_legend_entry(label, colour, "o", "-") for label, colour in _colours(kinds).items()]
     if effect:
         entries.append(make_legend_entry("effect of the finding", INK, line="--"))
-    return [
-        *entries,
-        make_legend_entry("95 % of tables with nothing wrong", ENVELOPE_COLOUR, line="-", width=6.0),
-    ]
-
-
-def _axis_label(table: TableInfo, what: str = "residual") -> str:
-    return f"{what} ({table.unit})" if table.unit else what
-
-
-def _size(value: float, table: TableInfo) -> str:
-    return f"{format_significant(value)} {table.unit}".rstrip()
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return [*entries, envelope_entry("table")]
 
 
 def finding_pictures(diagnosis: Diagnosis, table: TableInfo) -> list[Picture]:
@@ -169,80 +152,44 @@ def finding_pictures(diagnosis: Diagnosis, table: TableInfo) -> list[Picture]:
         selected = diagnosis.selection.behind(finding)
         if selected.misfit is None:
             continue
-        label, figure = _draw_finding(diagnosis, table, finding, selected, comparison)
-        is_named, article = finding.version is not None, "the " * (label == FITTED_EFFECT)
-        caption = f"Residuals over {article}{label}. Points: values; lines: means by class with 95 % bars. "
-        before, after = _size(_rms(comparison.before), table), _size(_rms(comparison.after), table)
-        if is_named:
-            above = f"with all but this finding in the law, what is left of {table.response}"
-            if label != FITTED_EFFECT:
-                above = f"what the law leaves of {table.response} ({before} rms)"
-            caption += (
-                f"Above: {above}; dashed: the part that the finding explains. Below: with all that was found "
-                f"in the law ({after} rms); the lines should lie within the grey band, where noise alone "
-                "would keep them."
-            )
-        else:
-            caption += f"{after} rms; noise alone would keep the lines within the grey band."
-        key = "finding-" + "".join(letter if letter.isalnum() else "-" for letter in finding.cause)
-        key += f"-{len(pictures) + 1}" * any(one.key == key for one in pictures)
-        title = f"{finding.cause}: residuals{' before and after' if is_named else ''}"
-        pictures.append(make_picture(key, title, caption, figure))
+        label, figure = draw_table_finding(diagnosis, table, finding, selected, comparison)
+        before, above = table.format_size(rms(comparison.before)), ""
+        if finding.version is not None:
+            above = f"what the law leaves of {table.response} ({before} rms)"
+            if label == FITTED_EFFECT:
+                above = f"with all but this finding in the law, what is left of {table.response}"
+            above += "; dashed: the part that the finding explains"
+        title = f"{finding.cause}: residuals{' before and after' if above else ''}"
+        over = f"the {label}" if label == FITTED_EFFECT else label
+        picture = picture_sides(finding, title, over, above, rms(comparison.after), table, figure)
+        numbered = f"-{len(pictures) + 1}" * any(one.key == picture.key for one in pictures)
+        pictures.append(replace(picture, key=picture.key + numbered))
     return pictures
 
 
-def plot_table_finding(diagnosis: Diagnosis, table: TableInfo, finding: int) -> Figure:
-    """One finding's residuals before and after; raises InputError if there is no such finding."""
-    if not 0 <= finding < len(diagnosis.findings):
-        raise InputError(f"there is no finding {finding}: this diagnosis has {len(diagnosis.findings)}")
-    chosen = diagnosis.findings[finding]
-    selected = diagnosis.selection.behind(chosen)
-    if selected.misfit is None:
-        raise InputError("outlying values have no shape to draw; the finding's `traverses` are those rows")
-    comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
-    return _draw_finding(diagnosis, table, chosen, selected, comparison)[1]
-
-
-def _draw_finding(
+def draw_table_finding(
     diagnosis: Diagnosis,
     table: TableInfo,
     finding: Finding,
     selected: SelectedCause,
     comparison: ResidualComparison,
 ) -> tuple[str, Figure]:
+    """The label of a finding's carrier, and the figure of its residuals before and after."""
     rows = _collect(diagnosis, table)
     linearized = diagnosis.selection.problem.linearize()
     shape = linearized.unwhiten(compute_shape(selected, linearized))
     label, values, levels = _find_carrier_values(rows, finding, selected, shape, comparison)
-    spread = np.random.default_rng(0).uniform(-JITTER, JITTER, len(values)) if levels else 0.0
-    sides = [("after", comparison.after, comparison.null_after)]
-    if label == FITTED_EFFECT:
-        # A partial residual: over its own effect one finding would be hidden by the scatter of all others.
-        sides = [("without", comparison.after + shape, comparison.null_after), ("with", *sides[0][1:])]
-    elif selected.version is not None:
-        sides.insert(0, ("before", comparison.before, comparison.null_before))
-    with report_style():
-        entries = _entries(rows.kinds, effect=selected.version is not None)
-        figure, axes = make_figure([1.5] * len(sides), 1, entries)
-        limit = robust_limit(
-            np.abs(np.concatenate([side for _, side, _ in sides])), LIMIT_QUANTILE, LIMIT_ZOOM
-        )
-        for axis, (name, residual, null) in zip(axes[:, 0], sides, strict=True):
-            drawn = draw_means(axis, values, residual, null, rows.by_colour)
-            limit = max(limit, 1.1 * drawn)
-            if name in ("before", "without"):
-                draw_effect(axis, values, shape, rows.by_colour)
-        for axis, (name, residual, _) in zip(axes[:, 0], sides, strict=True):
-            _draw_points(axis, values + spread, np.clip(residual, -limit, limit), rows.by_colour)
-            axis.set_ylim(-limit, limit)
-            what = f"{name}: residual" if len(sides) > 1 else "residual"
-            axis.set_ylabel(_axis_label(table, what))
-        axes[-1, 0].set_xlabel(_axis_label(table, label) if label == FITTED_EFFECT else shorten(label, 60))
-        if levels:
-            axes[-1, 0].set_xticks(
-                range(len(levels)), [shorten(level, 110 // len(levels)) for level in levels]
-            )
-        figure.align_ylabels(axes[:, 0])
+    extended, is_effect = selected.version is not None, label == FITTED_EFFECT
+    figure = draw_sides(
+        choose_sides(comparison, without=shape if is_effect else None, extended=extended),
+        table.label(label) if is_effect else label,
+        values,
+        {"": rows.by_colour},
+        _entries(rows.kinds, effect=extended),
+        table,
+        effect=shape if extended else None,
+        levels=levels,
+    )
     return label, figure
 
 
@@ -279,15 +226,6 @@ def _find_carrier_values(
     return label, candidates[label], levels
 
 
-def _draw_points(axis: Axes, values: Array, y: Array, kinds: ColouredRows) -> None:
-    for colour, kind in kinds.items():
-        index = np.flatnonzero(kind & np.isfinite(values))
-        if len(index) > MAX_POINTS:
-            index = np.sort(np.random.default_rng(0).choice(index, MAX_POINTS, replace=False))
-        size, alpha = (3.5, 0.6) if len(index) <= FEW_POINTS else (1.8, 0.3)
-        axis.plot(values[index], y[index], ls="", marker="o", ms=size, mew=0, alpha=alpha, color=colour)
-
-
 def columns_picture(diagnosis: Diagnosis, table: TableInfo) -> Picture:
     """Residuals against every column that varied."""
     key, title = "everything", "Residuals against each column"
@@ -295,15 +233,9 @@ def columns_picture(diagnosis: Diagnosis, table: TableInfo) -> Picture:
     if not rows.columns:
         return make_missing_picture(key, title, "It would need a column that varies.")
     comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
-    extended = bool(diagnosis.selection.law_causes)
     left_out = len(rows.columns) - MAX_PANELS
-    caption = (
-        f"Mean residuals{' with all that was found in the law' if extended else ''}, by classes of each "
-        f"column; {_size(_rms(comparison.after), table)} rms. Grey: where all means of a panel lie in 95 of "
-        "100 tables in which nothing is wrong."
-        + " Dotted: the means under the law as it was." * extended
-        + f" {pluralize(left_out, 'column')} left out." * (left_out > 0)
-    )
+    caption = caption_overview(comparison, np.ones(len(comparison.rows), dtype=bool), table)
+    caption += f" {pluralize(left_out, 'column')} left out." * (left_out > 0)
     return make_picture(key, title, caption, plot_columns(diagnosis, table))
 
 
@@ -313,41 +245,8 @@ def plot_columns(diagnosis: Diagnosis, table: TableInfo) -> Figure:
     if not rows.columns:
         raise InputError("there is nothing to draw: no column of the table varies")
     comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
-    extended = bool(diagnosis.selection.law_causes)
-    shown = list(rows.columns.items())[:MAX_PANELS]
-    n_rows = -(-len(shown) // N_COLUMNS)
-    with report_style():
-        figure, axes = make_figure(
-            [1.2] * n_rows,
-            min(N_COLUMNS, len(shown)),
-            _entries(rows.kinds, points=False),
-            top=0.12,
-            down=0.55,
-            share_x="none",
-            share_y="all",
-        )
-        largest = 0.0
-        for axis, (label, values) in zip(axes.ravel(), shown, strict=False):
-            drawn = draw_means(axis, values, comparison.after, comparison.null_after, rows.by_colour)
-            largest = max(largest, drawn)
-            if extended:
-                null = comparison.null_before
-                dotted = draw_means(axis, values, comparison.before, null, rows.by_colour, dotted=True)
-                largest = max(largest, dotted)
-            axis.set_xlabel(_fit_label(label, len(axes[0])))
-            axis.locator_params(axis="x", nbins=4)
-        for axis in axes.ravel()[len(shown) :]:
-            axis.set_axis_off()
-        axes[0, 0].set_ylim(-1.1 * largest, 1.1 * largest)
-        for axis in axes[:, 0]:
-            axis.set_ylabel(_axis_label(table))
-    return figure
-
-
-def _fit_label(label: str, n_columns: int) -> str:
-    """Short enough for a panel beside others."""
-    short = label.replace("time since the session's first row", "time in session") if n_columns > 1 else label
-    return shorten(short, 110 // n_columns)
+    shown = dict(list(rows.columns.items())[:MAX_PANELS])
+    return draw_overview(shown, comparison, rows.by_colour, _entries(rows.kinds, points=False), table)
 
 
 def measured_picture(fit: TableFit) -> Picture:

@@ -9,40 +9,42 @@ import numpy as np
 
 from stickslip_fit._format import format_p_value, format_percent, join_words, typeset_text
 from stickslip_fit._summary import Section, Summary, load_page_assets, load_template
-from stickslip_fit.diagnosis import Diagnosis
+from stickslip_fit.diagnosis import Diagnosis, TableInfo
 from stickslip_fit.diagnosis._unknown_summary import name_findings
+from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.residuals import ResidualComparison, compare_residuals, finding_shape
-from stickslip_fit.machine import load_machine
+from stickslip_fit.estimation._table_summary import describe_fit, parameters_table
+from stickslip_fit.machine import Machine, load_machine
 from stickslip_fit.plotting._svg import Picture
 from stickslip_fit.plotting.diagnosis import confusion_picture, gain_picture, ranking_picture
 from stickslip_fit.plotting.residuals import finding_picture, residuals_overview_picture
-from stickslip_fit.reporting.table import make_table_section
+from stickslip_fit.plotting.table import columns_picture, finding_pictures, measured_picture
 
 
 def diagnosis_page(diagnosis: Diagnosis, *, command: str = "") -> str:
     """A diagnosis as a self-contained HTML page; `command` as typed."""
-    table = diagnosis.table
-    if table is None:
-        diagnosed, data = make_diagnosis_section(diagnosis, command), "log"
-    else:
-        diagnosed, data = make_table_section(diagnosis, table, command), "table"
     return load_template("diagnosis.html.j2").render(
-        diagnosed=diagnosed, data=data, assets=load_page_assets(script=False)
+        diagnosed=make_diagnosis_section(diagnosis, command),
+        data=diagnosis.info.data,
+        assets=load_page_assets(script=False),
     )
 
 
 def make_diagnosis_section(diagnosis: Diagnosis, command: str = "") -> Summary:
-    """A diagnosis with its figures."""
-    comparison = number_residuals(diagnosis)
-    machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
-    pictures = list(_finding_pictures(diagnosis, comparison))
-    joints = sorted(comparison.rows["joint"].unique())
-    pictures += [residuals_overview_picture(int(joint), comparison, machine) for joint in joints]
-    summary = diagnosis.summary()
+    """A diagnosis with its figures; of a table also the law with what was found in it."""
+    table, summary = diagnosis.table, diagnosis.summary()
     findings, *stage, alternatives, untestable = summary.sections
+    if table is not None:
+        pictures = [*finding_pictures(diagnosis, table), columns_picture(diagnosis, table)]
+    else:
+        comparison, machine = number_residuals(diagnosis), _machine_of(diagnosis)
+        joints = sorted(comparison.rows["joint"].unique())
+        pictures = list(_finding_pictures(diagnosis, comparison))
+        pictures += [residuals_overview_picture(int(joint), comparison, machine) for joint in joints]
     sections = (
         findings,
         *stage,
+        *([_law_section(diagnosis, table, command)] if table is not None else []),
         Section("The evidence", figures=(*pictures, gain_picture(diagnosis)), key="evidence"),
         replace(alternatives, figures=(ranking_picture(diagnosis), confusion_picture(diagnosis))),
         untestable,
@@ -51,9 +53,26 @@ def make_diagnosis_section(diagnosis: Diagnosis, command: str = "") -> Summary:
     return replace(summary, sections=sections, provenance=(*summary.provenance, source))
 
 
+def _law_section(diagnosis: Diagnosis, table: TableInfo, command: str) -> Section:
+    """The law of a table with what was found in it."""
+    fit = make_table_fit(diagnosis.selection.problem, diagnosis.selection.fit, table, command=command)
+    named = any(finding.version is not None for finding in diagnosis.findings)
+    return Section(
+        "The law with what was found in it" if named else "The law",
+        (describe_fit(fit), *(f"Of the law: {flag}." for flag in fit.flags)),
+        (parameters_table(fit),),
+        (measured_picture(fit),),
+        key="law",
+    )
+
+
+def _machine_of(diagnosis: Diagnosis) -> Machine:
+    return load_machine() if diagnosis.log is None else diagnosis.log.machine
+
+
 def _finding_pictures(diagnosis: Diagnosis, comparison: ResidualComparison) -> Iterator[Picture]:
     """Residuals before and after each finding that has a shape."""
-    machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
+    machine = _machine_of(diagnosis)
     for finding in diagnosis.findings:
         cause = diagnosis.selection.behind(finding)
         if cause.misfit is not None:

@@ -24,7 +24,7 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._summary import Column, Table, numbers, words
 from stickslip_fit.diagnosis import Diagnosis, Gain
-from stickslip_fit.diagnosis._summary import baseline_name
+from stickslip_fit.diagnosis._words import baseline_name
 from stickslip_fit.estimation import Result, summarize_errors
 from stickslip_fit.estimation.prediction import assess_held_out
 from stickslip_fit.estimation.result import choose_repeatability, has_enough_replicates

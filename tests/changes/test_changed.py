@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -43,7 +44,10 @@ def test_a_change_is_named_by_drive_with_its_size_and_what_it_means_for_moves(fo
     said = str(found)
     assert said.startswith("Changed: joint 3 +, 3 sessions (2012-03-05 to 2012-03-07) against 3 sessions")
     assert "Joint 3 +: steps are " in said
-    assert " % longer (" in said
+    # The estimate and both ends of its interval have the same decimals, and a unit in the sentence and below.
+    told = re.search(r"steps are \d+(\.\d+)? % longer \(\d+(\.\d+)? to \d+(\.\d+)? %\)", said)
+    assert len({len(part or "") for part in told.groups()}) == 1
+    assert re.search(r"\d to \d+\.\d+ % ", said[told.end() :])
     assert "; a changed by +" in said
     assert len(said.splitlines()) <= 25
 

@@ -55,12 +55,12 @@ def test_a_cause_that_predicts_worse_becomes_unknown_with_a_note(named):
     findings = tuple(replace(one, gain=gain_of(0.063)) for one in named.findings)
     unsupported = find_unsupported(findings)
     assert [one.cause for one in unsupported] == [named.findings[0].cause]
-    selection, left = withdraw_causes(named.selection, findings, unsupported)
+    selection, left = withdraw_causes(named.selection, findings, unsupported, named.info)
     assert [one.cause for one in left] == [UNKNOWN]
     assert not selection.law_causes
     assert f"{named.findings[0].cause} is not named" in left[0].note
     answer = replace(named, findings=left, selection=selection, verdict="unknown cause")
-    assert "held-out traverses are not predicted better (6.3 %, without it 4.0 %)" in " ".join(
+    assert "held-out traverses are not predicted better with it (6.3 %, without it 4.0 %)" in " ".join(
         answer.summary().headline
     )
     assert diagnosis_to_json(answer)["findings"][0]["note"] == left[0].note

@@ -68,7 +68,7 @@ def linearized(hidden_logs):
 @pytest.mark.nightly
 def test_a_term_acts_on_the_joint_that_has_the_effect(hidden_logs):
     (finding,) = diagnose(hidden_logs[0], seed=1, gain=False).findings
-    assert (finding.term, finding.joints) == ("k sin(q1) x load, joint 3", (3,))
+    assert (finding.term, finding.joints) == ("k * sin(q1) * load, joint 3", (3,))
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def alternatives(linearized):
 def test_a_short_term_is_proposed_and_predicts_a_replicate(found, hidden_logs):
     assert found.verdict == "unknown cause"
     (finding,) = found.findings
-    assert finding.term == "k sin(q1) x load"
+    assert finding.term == "k * sin(q1) * load"
     assert finding.joints == (3,)
     law = found.extended_law().joints[3]
     rows = hidden_logs[1].rows
@@ -110,7 +110,7 @@ def test_a_term_that_does_not_predict_better_leaves_the_law_and_unknown_stays(fo
     findings = (replace(finding, gain=worse),)
     unsupported = find_unsupported(findings)
     assert unsupported == findings
-    selection, left = withdraw_causes(found.selection, findings, unsupported)
+    selection, left = withdraw_causes(found.selection, findings, unsupported, found.info)
     assert (left[0].cause, left[0].version, left[0].term) == ("unknown", None, "")
     assert selection.law_causes == []
 
@@ -119,7 +119,7 @@ def test_a_law_with_terms_is_saved_and_restored(hidden_logs):
     machine = hidden_logs[0].machine
     smooth = SmoothTerm(("theta", "load"), ((-0.5, 0.5), (-1.0, 1.0)), ((1, 1),), (0.02,), ((3, "+"),))
     term = ProposedTerm((("sin(x)", "q1", 0.0, 1.0), ("x", "load", 0.0, 1.0)), ((3, "+"),))
-    assert term.formula == "k sin(q1) x load, joint 3, + only"
+    assert term.formula == "k * sin(q1) * load, joint 3, + only"
     law = extend(extend(Prismatic(), smooth), term)
     travel = TravelTerm(on=((2, "+"), (3, "+")), sessions=("a", "b"), travel=((2, -2.0, 0.5), (3, 0.0, 0.01)))
     law = extend(law, travel)
@@ -259,5 +259,5 @@ def test_a_short_term_may_follow_the_traverse_before(linearized, alternatives):
     for name, values in (("before gap", gap), ("log(1 + pause / s)", np.log1p(pause))):
         centred = np.nan_to_num(values - np.nanmean(values))
         version, error = law_for(linearized, alternatives, centred, build_log_dictionary)
-        assert version.formula == f"k ({name} - mean) / half range"
+        assert version.formula == f"k * ({name} - mean) / half range"
         assert error < 0.02

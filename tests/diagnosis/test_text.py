@@ -12,7 +12,8 @@ import pytest
 
 from stickslip_fit.causes import PayloadChange, SessionJump, SizedParameter, covariates, library
 from stickslip_fit.diagnosis import Finding, Gain, NextTraverse, diagnose
-from stickslip_fit.diagnosis._summary import describe_effect, remedy_for, write_headline
+from stickslip_fit.diagnosis._log_words import describe_effect, remedy_for
+from stickslip_fit.diagnosis._summary import write_headline
 from stickslip_fit.units import Interval
 from tests.diagnosis.conftest import ALPHA, REPEATABILITY, changed, hours_in
 
@@ -119,9 +120,10 @@ def test_what_has_no_name_is_shown_as_it_is(unnamed):
     assert re.search(r"come and go with a period of 5\d\.\d min, which no known cause does; a wave", first)
     assert "find out what the function stands for" in second
     (finding,) = unnamed.findings
-    first, second = write_headline(replace(unnamed, findings=(replace(finding, version=None),)))
+    near = replace(finding, version=None, share=0.34)
+    first, second = write_headline(replace(unnamed, findings=(near,)))
     assert re.search(r"comes and goes with a period of 5\d\.\d min", first)
-    assert first.endswith(f"the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it.")
+    assert first.endswith(f"the closest, {finding.closest}, explains 34 % of it.")
     assert "extended law" not in first + second
 
 
@@ -175,6 +177,8 @@ def test_of_twins_either_may_be_to_blame(table, read):
     assert found.verdict == "cannot tell apart"
     blamed = {found.findings[0].cause, *found.findings[0].equivalent}
     assert blamed == {"covariate:draught", "covariate:copy"}
+    way = {"covariate:draught": "falls", "covariate:copy": "rises"}[found.findings[0].cause]
+    assert f"; beyond the law the step size {way} with {found.findings[0].cause[10:]}" in told(found)
 
 
 def test_different_causes_are_not_alike(nothing):

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -32,22 +32,36 @@ def read(hidden: Hidden) -> ssf.Log:
         return ssf.read_log(Path(folder) / "log.csv")
 
 
+BENDS = (0.002, 0.005, 0.008)  # of LuGre's bristles, as shares of the throw
+
+
+def true_share(hidden: Hidden, direction: str) -> float:
+    """Mean over sessions of weight over friction of joint 3."""
+    (place,) = (place for place in hidden.campaign.places if place.joint == 3)
+    own = (place.forward > 0).ravel() == (direction == "+")
+    return float(np.mean(GRAVITY / place.values["friction"][own]))
+
+
+def judge_drive(regime: str, bristles: Bristles | None, seed: int) -> Iterator[tuple[bool, bool, bool]]:
+    """Of either direction of joint 3: regime certain and right, certain and wrong, and r in its interval."""
+    hidden = drive_stage(DESIGNS[seed % 3], Stage(regime, bristles), seed=seed)
+    log = read(hidden)
+    for way, profile in profile_ratio(3, log.usable[log.usable["joint"] == 3], log.machine).items():
+        _, low, high = profile.share_interval(spread=MODEL_SPREAD)
+        right = profile.friction_limited if regime == "friction" else 1 - profile.friction_limited
+        yield right > CERTAIN, right < 1 - CERTAIN, low < true_share(hidden, way) < high
+
+
 def shares(seed: int) -> Found:
     """Regime and r of joint 3, half of the logs with LuGre's friction."""
     regime = ("friction", "velocity")[seed % 2]
-    bristles = Bristles((0.002, 0.005, 0.008)[seed % 3]) if seed // 2 % 2 else None
-    hidden = drive_stage(DESIGNS[seed % 3], Stage(regime, bristles), seed=seed)
-    log, found = read(hidden), {}
-    (place,) = (place for place in hidden.campaign.places if place.joint == 3)
-    for way, profile in profile_ratio(3, log.usable[log.usable["joint"] == 3], log.machine).items():
-        own = (place.forward > 0).ravel() == (way == "+")
-        _, low, high = profile.share_interval(spread=MODEL_SPREAD)
-        right = profile.friction_limited if regime == "friction" else 1 - profile.friction_limited
-        kind = f"{regime}, {'LuGre' if bristles else 'Coulomb'}"
-        truth = float(np.mean(GRAVITY / place.values["friction"][own]))
-        found.setdefault(f"{kind}: r in its interval", []).append(low < truth < high)
-        found.setdefault(f"{kind}: regime certain and right", []).append(right > CERTAIN)
-        found.setdefault(f"{kind}: regime certain and wrong", []).append(right < 1 - CERTAIN)
+    bristles = Bristles(BENDS[seed % 3]) if seed // 2 % 2 else None
+    kind = f"{regime}, {'LuGre' if bristles else 'Coulomb'}"
+    found: Found = {}
+    names = ("regime certain and right", "regime certain and wrong", "r in its interval")
+    for judged in judge_drive(regime, bristles, seed):
+        for name, holds in zip(names, judged, strict=True):
+            found.setdefault(f"{kind}: {name}", []).append(holds)
     return found
 
 

@@ -9,11 +9,10 @@ import pandas as pd
 import pytest
 
 import stickslip_fit as ssf
-from stickslip_fit.estimation import profile_ratio
 from stickslip_fit.law_comparison import compare_laws
-from stickslip_fit.law_comparison.comparison import CERTAIN, MODEL_SPREAD
 from stickslip_fit.laws import FRICTION_LIMITED
 from tests.hidden.generate import hide
+from tests.hidden.law_study import BENDS, judge_drive, true_share
 from tests.hidden.slip import Bristles
 from tests.hidden.stage import GRAVITY, Stage, drive_stage
 
@@ -28,13 +27,6 @@ def read(hidden, folder, keep=None):
 
 def guide(table):
     return table["joint"] == 3
-
-
-def true_share(hidden, direction):
-    """Mean over sessions of weight over friction."""
-    (place,) = (place for place in hidden.campaign.places if place.joint == 3)
-    own = (place.forward > 0).ravel() == (direction == "+")
-    return float(np.mean(GRAVITY / place.values["friction"][own]))
 
 
 FRICTION_CASES = [("session", 3), ("thesis", 4), ("many", 5)]
@@ -65,29 +57,16 @@ def test_friction_limited_logs_are_predicted_as_well_as_they_repeat(design, seed
         assert low < true_share(hidden, regime.direction) < high
 
 
-def regimes_and_shares(regime, logs, folder):
-    """Shares of joint 3's directions: regime right, regime wrong, r in its interval."""
-    found = []
-    for seed in range(logs):
-        bristles = None if seed % 2 else Bristles((0.002, 0.005, 0.008)[seed % 3])
-        hidden = drive_stage(("session", "thesis", "many")[seed % 3], Stage(regime, bristles), seed=seed)
-        log = read(hidden, folder, guide)
-        for direction, profile in profile_ratio(3, log.usable, log.machine).items():
-            probability, (_, low, high) = (
-                profile.friction_limited,
-                profile.share_interval(spread=MODEL_SPREAD),
-            )
-            right = probability if regime == "friction" else 1 - probability
-            inside = low < true_share(hidden, direction) < high
-            found.append((right > CERTAIN, right < 1 - CERTAIN, inside))
-    return np.mean(found, axis=0)
-
-
 @pytest.mark.parametrize("logs", [3, pytest.param(500, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(("regime", "named"), [("friction", 0.9), ("velocity", 0.7)])
-def test_the_regime_is_right_and_r_in_its_interval_whatever_the_friction(regime, named, logs, tmp_path):
+def test_the_regime_is_right_and_r_in_its_interval_whatever_the_friction(regime, named, logs):
     """Less two standard errors; where the slider catches up, small logs may say that they cannot tell."""
-    right, wrong, inside = regimes_and_shares(regime, logs, tmp_path)
+    judged = [
+        each
+        for seed in range(logs)
+        for each in judge_drive(regime, None if seed % 2 else Bristles(BENDS[seed % 3]), seed)
+    ]
+    right, wrong, inside = np.mean(judged, axis=0)
 
     def margin(share):
         return 2 * np.sqrt(share * (1 - share) / (2 * logs))

@@ -117,7 +117,7 @@ def test_rows_without_a_time_have_no_order():
     diagnosis = ssf.diagnose_table(rows, LAW, session="run", gain=False)
     assert diagnosis.table.independent == 300
     for name in ("drift", "warm-up", "sudden-change", "memory"):
-        assert "time='order'" in diagnosis.untestable[name]
+        assert "name 'order' as it" in diagnosis.untestable[name]
 
 
 def test_noise_persists_over_at_most_four_tenths_of_the_longest_record():

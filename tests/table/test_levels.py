@@ -44,6 +44,9 @@ def test_offsets_are_those_of_the_analysis_of_covariance():
     assert len(found) == 2
     for level in frame["who"].cat.categories[1:]:
         assert_as(found[f"d[{level}]"], fit, f"C(who)[T.{level}]")
+    beside = f"differences from {frame['who'].cat.categories[0]}."
+    assert beside in " ".join(str(diagnosis).split())
+    assert beside in " ".join(str(diagnosis.extended_law()).split())
     before, after = diagnosis.plot_residuals(0)
     assert [tick.get_text() for tick in after.get_xticklabels()] == list(frame["who"].cat.categories)
     means = smf.ols("y ~ x", frame).fit().resid.groupby(frame["who"], observed=True).mean()

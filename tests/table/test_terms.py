@@ -31,8 +31,8 @@ def rms(values):
 @pytest.mark.parametrize(
     ("law", "bend", "formula"),
     [
-        ("y ~ a + b*x + c*z", lambda x, z: 0.12 * (x - 5.0) ** 2, "k ((x"),
-        ("y ~ a + b*x + c*z", lambda x, z: 0.4 * x * z, "k ((x"),
+        ("y ~ a + b*x + c*z", lambda x, z: 0.12 * (x - 5.0) ** 2, "k * ((x"),
+        ("y ~ a + b*x + c*z", lambda x, z: 0.4 * x * z, "k * ((x"),
     ],
 )
 def test_a_short_term_is_proposed_and_predicts_what_was_not_seen(law, bend, formula):

@@ -54,8 +54,8 @@ def test_no_word_of_a_log_is_in_text_notebook_or_page(case, request):
 def test_the_answer_is_in_the_responses_unit(named):
     text, table = " ".join(str(named).split()), named.table
     assert "Viscous friction differs between directions (dFv = 1." in text
-    given = r"\(each given those before it: from 0\.\d{3} to 0\.\d{3} N\)"
-    assert re.search(rf"from 0\.\d{{3}} to 0\.\d{{3}} N {given}; the noise is 0\.\d{{3}} N", text)
+    given = r"\(each given those before it: from 0\.\d{3} N to 0\.\d{3} N\)"
+    assert re.search(rf"from 0\.\d{{3}} N to 0\.\d{{3}} N {given}; the noise is 0\.\d{{3}} N", text)
     assert f"tell as much as about {round(table.independent)} independent ones" in text
     assert f"({0.01 * table.correlation_rows:.4f} s)" in text
 
@@ -198,7 +198,8 @@ def test_a_generic_cause_is_named_with_its_column_and_sessions_stand_in_their_or
     law = ssf.Law("y ~ slope*x + offset", units={"y": "mV", "x": "mm", "slope": "mV/mm", "offset": "mV"})
     diagnosis = ssf.diagnose_table(days(), law, session="day")
     assert [finding.cause for finding in diagnosis.findings] == ["covariate:T"]
-    assert re.search(r"^The response follows the column T, by 0\.\d+ mV rms\.", str(diagnosis))
+    said = r"^The response follows the column T, by 0\.\d+ mV rms; beyond the law y rises with T\."
+    assert re.search(said, str(diagnosis))
     assert list(diagnosis.gain.by_session["session"]) == [f"day {k}" for k in range(6)]
     assert diagnosis.gain.by_session["rows"].sum() == 180
     labels = [label.get_text() for label in diagnosis.plot_gain()[0].get_xticklabels()]

@@ -11,7 +11,7 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit.diagnosis._json import diagnosis_to_json
-from stickslip_fit.diagnosis._table_summary import write_table_headline
+from stickslip_fit.diagnosis._summary import write_headline
 from stickslip_fit.diagnosis._table_words import describe_independence, describe_table_carrier
 from stickslip_fit.diagnosis._unknown_summary import name_finding
 
@@ -89,14 +89,14 @@ def test_a_law_that_is_worse_than_the_mean_is_flagged_first(independent):
     table = independent.table
     for factor, flagged in ((0.9, False), (3.0, True)):
         poor = replace(independent, misfit=factor * table.response_sd)
-        first = write_table_headline(poor, table)[0]
+        first = write_headline(poor)[0]
         assert first.startswith("The fitted law leaves") == flagged
     # In correlated noise the value of a constant law is not the mean.
     walk = np.cumsum(np.random.default_rng(3).standard_normal(400))
     found = ssf.diagnose_table(pd.DataFrame({"y": walk}), "y ~ a", time="order", gain=False)
     found = replace(found, misfit=3.0 * found.table.response_sd)
     wide = replace(found.table, independent=100.0)
-    assert not write_table_headline(found, wide)[0].startswith("The fitted law leaves")
+    assert not write_headline(replace(found, table=wide))[0].startswith("The fitted law leaves")
 
 
 def test_a_wave_with_a_wrong_start_is_flagged():

@@ -1,0 +1,114 @@
+"""What the diagnosis of a log says of its findings: steps, joints and traverses, and what cures them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._format import (
+    capitalize_first,
+    format_direction,
+    format_p_value,
+    format_percent,
+)
+from stickslip_fit.causes import EndStopMisfire
+from stickslip_fit.causes.parameters import plain_description
+from stickslip_fit.diagnosis._noise_summary import describe_noise
+from stickslip_fit.diagnosis._stage_summary import describe_reading
+from stickslip_fit.diagnosis._unknown_summary import (
+    describe_carrier,
+    describe_proposal,
+    describe_scatter,
+    describe_unknown_gain,
+)
+from stickslip_fit.diagnosis._words import Words, baseline_name
+from stickslip_fit.diagnosis.finding import Finding
+from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.problem import MISFIRE
+
+
+def describe_effect(finding: Finding) -> str:
+    """What a named cause does, without a full stop; without parameters, with the size of its effect.
+
+    A cause without `describe` is described by its phrase.
+    """
+    cause = _cause(finding)
+    if hasattr(cause, "describe"):
+        text = cause.describe(finding.parameters)
+    else:
+        text = plain_description(getattr(cause, "phrase", finding.cause), finding.parameters)
+    return text if finding.parameters else f"{text}, by {format_percent(finding.effect.estimate)} rms"
+
+
+def remedy_for(finding: Finding) -> str:
+    """What cures it, as the beginning of a sentence; empty where only the extended law does."""
+    return getattr(_cause(finding), "remedy", "")
+
+
+def _cause(finding: Finding) -> Any:
+    return EndStopMisfire() if finding.cause == MISFIRE else finding.version
+
+
+@dataclass(frozen=True)
+class LogWords(Words):
+    """What is said of a log."""
+
+    def tell_no_finding(self) -> list[str]:
+        """See `Words`."""
+        diagnosis = self.diagnosis
+        text = (
+            f"Nothing is wrong that this log can show: the {baseline_name(diagnosis)} leaves "
+            f"{format_percent(diagnosis.misfit)} rms, and {describe_scatter(diagnosis)} "
+            f"(p {format_p_value(diagnosis.p_value, relation=True)})."
+        )
+        if not np.isfinite(diagnosis.repeatability):
+            text = f"Nothing can be said of this log: {diagnosis.untestable[UNKNOWN]}."
+        return [text, *describe_noise(diagnosis)]
+
+    def tell_findings(self) -> list[str]:
+        """See `Words`."""
+        first, *others = self.diagnosis.findings
+        return [
+            f"{self.describe_finding(first)}.",
+            self._describe_gain(first),
+            *map(self.describe_side_effect, others),
+            *(describe_reading(one, intervals=False) for one in self.diagnosis.stage if one.suffices),
+            *describe_noise(self.diagnosis),
+        ]
+
+    describe_effect = staticmethod(describe_effect)
+    describe_carrier = staticmethod(describe_carrier)
+    describe_proposal = staticmethod(describe_proposal)
+
+    def outlier_cells(self, row: pd.Series) -> dict[str, str]:
+        """See `Words`."""
+        return {
+            "session": str(row["session"]),
+            "time": row["time"].strftime("%Y-%m-%d %H:%M:%S"),
+            "joint": f"{row['joint']} {format_direction(str(row['direction']))}",
+            "steps": f"{row['steps']:,}",
+        }
+
+    def _describe_gain(self, finding: Finding) -> str:
+        diagnosis = self.diagnosis
+        scatter = describe_scatter(diagnosis)
+        if finding.cause == UNKNOWN:
+            return describe_unknown_gain(finding, diagnosis) or f"{self.advice_on_unknown}; {scatter}."
+        cure = remedy_for(finding) if not finding.equivalent else ""
+        law = "" if finding.cause == MISFIRE else "the extended law"
+        gain = diagnosis.gain
+        if gain is None or gain.extended >= gain.baseline:
+            cut = f"takes away errors of {format_percent(finding.effect.estimate)} rms"
+        else:
+            cut = self.describe_cut(gain)
+        choices = " or ".join(filter(None, [f"{cure}," if cure and law else cure, law]))
+        what = f"Remedy: {choices}, which" if cure else capitalize_first(law)
+        following = ""
+        if finding.equivalent and diagnosis.next_experiment:
+            following = " The traverses that would separate them are below."
+        elif finding.equivalent:
+            following = " No candidate traverse would separate them."
+        return f"{what} {cut}; {scatter}.{following}"
