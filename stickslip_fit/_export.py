@@ -16,6 +16,7 @@ NUMBER = r"[+-]?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:e[+-]?\d+)?"
 ONE = re.compile(NUMBER)
 UNCERTAIN = re.compile(rf"({NUMBER}) ± ({NUMBER})")
 INTERVAL = re.compile(rf"({NUMBER}) to ({NUMBER})")
+WITH_UNIT = re.compile(rf"(.*{NUMBER}) ([^\d\s]\S*)")
 EMPTY = ("", MISSING)
 LATEX = {
     **{each: f"\\{each}" for each in "&%$#_{}"},
@@ -94,9 +95,11 @@ def table_as_csv(table: Cells) -> str:
 
 def _split(column: Head, cells: Sequence[str]) -> list[tuple[str, list[str]]]:
     """A column as one or two columns of a file, each with its head."""
-    plain = [cell.replace(MINUS, "-") for cell in cells]
+    plain, own = [cell.replace(MINUS, "-") for cell in cells], column.unit
     name = f"{column.group}: {column.head}" if column.group else column.head
-    unit = f" ({column.unit})" if column.unit else ""
+    if not column.text and not own and (own := _common_unit(plain)):
+        plain = [cell.removesuffix(f" {own}") for cell in plain]
+    unit = f" ({own})" if own else ""
     filled = [cell for cell in plain if cell not in EMPTY]
     for pattern, heads in (
         (UNCERTAIN, (f"{name}{unit}", f"{name}, standard error{unit}")),
@@ -112,6 +115,13 @@ def _split(column: Head, cells: Sequence[str]) -> list[tuple[str, list[str]]]:
         return [(f"{name}{unit}", list(cells))]
     numbers = [cell.replace(",", "") if ONE.fullmatch(cell) else cell for cell in plain]
     return [(f"{name}{unit}", ["" if cell in EMPTY else cell for cell in numbers])]
+
+
+def _common_unit(cells: Sequence[str]) -> str:
+    """The unit that stands behind the numbers of all cells that are not empty; empty where they differ."""
+    found = [WITH_UNIT.fullmatch(cell) for cell in cells if cell not in EMPTY]
+    units = {match[2] if match else "" for match in found}
+    return units.pop() if len(units) == 1 else ""
 
 
 def table_as_latex(table: Cells) -> str:

@@ -85,3 +85,13 @@ def test_a_number_is_never_parted_from_its_unit(width):
     lines = paragraph("within 7.5 µm of 120 nm and 3 % or 4 steps", width).splitlines()
     assert not any(line.startswith(("µm", "nm", "%", "steps")) for line in lines)
     assert len(lines) > 2
+
+
+def test_a_unit_that_all_cells_have_stands_in_the_head_of_a_file():
+    columns = (Column("what", text=True), Column("size"), Column("95 % interval"), Column("mixed"))
+    rows = (("a", "−3.0 ± 0.2 %", "−3.4 to −2.6 %", "1 nm"), ("b", "–", "1,000 to 2,000 %", "1 µrad"))
+    lines = Table("Sizes", columns, rows).as_csv().splitlines()
+    assert lines[0] == (
+        'what,size (%),"size, standard error (%)","95 % interval, low (%)","95 % interval, high (%)",mixed'
+    )
+    assert lines[1:] == ["a,-3.0,0.2,-3.4,-2.6,1 nm", "b,,,1000,2000,1 µrad"]
