@@ -36,6 +36,7 @@ LARGEST_EXCESS = 6.0  # standard deviations; where the best change leaves more, 
 MAX_ITERATIONS = 60  # of the law's own fit
 STEPS = 5  # of Gauss-Newton in the size of a change
 DIFFERENCE = 1e-3
+MAX_COUNTS = 50_000  # at a time
 LARGEST = 0.5  # logarithm of a change
 TINY, SINGULAR = 1e-9, 1e-6  # information of which counts say nothing, and relative to the most
 
@@ -403,7 +404,7 @@ class StageEffects:
         self.values, self.ratios = values, ratios[:, None]
         self.count = law.ratio_counter(rows)
         self.shares = [k for k, parameter in enumerate(law.parameters) if parameter.name.startswith("r")]
-        self.unchanged = np.log(self.count(values, np.broadcast_to(self.ratios, values.shape[:2]))[0])
+        self.unchanged = self._responses(values, np.broadcast_to(self.ratios, values.shape[:2]))
 
     def by(self, kind: IntArray, place: IntArray, size: Array, course: Array) -> Array:
         """Changes of log(steps), shape (q, n); NaN where the joint stalls.
@@ -423,5 +424,12 @@ class StageEffects:
         now, values = before * np.exp(ratio), self.values[place]
         values[..., 0] *= np.exp(unit) * np.minimum(now, 1.0) / np.minimum(before, 1.0)
         values[..., self.shares] *= np.exp(share)[..., None]
+        return self._responses(values, now) - self.unchanged[place]
+
+    def _responses(self, values: Array, ratios: Array) -> Array:
+        """log(steps), shape (q, n), so many at a time that memory does not grow with all of them."""
+        size = max(MAX_COUNTS // values.shape[1], 1)
+        starts = range(0, max(len(values), 1), size)
+        counts = [self.count(values[k : k + size], ratios[k : k + size])[0] for k in starts]
         with np.errstate(invalid="ignore"):
-            return np.log(self.count(values, now)[0]) - self.unchanged[place]
+            return np.log(np.concatenate(counts))
