@@ -37,6 +37,7 @@ MAX_ITERATIONS = 60  # of the law's own fit
 STEPS = 5  # of Gauss-Newton in the size of a change
 DIFFERENCE = 1e-3
 MAX_COUNTS = 50_000  # at a time
+ALIKE = 1e-6  # relative difference of deviances
 LARGEST = 0.5  # logarithm of a change
 TINY, SINGULAR = 1e-9, 1e-6  # information of which counts say nothing, and relative to the most
 
@@ -323,9 +324,12 @@ def _least(fits: Mapping[str, ChangeFit]) -> float:
 
 
 def _middles_beside_best(deviance: Mapping[float, float]) -> list[float]:
-    """Middles of the intervals beside the lambda that fits best."""
-    ratios = sorted(deviance)
-    best = int(np.argmin([deviance[ratio] for ratio in ratios]))
+    """Middles of the intervals beside the lambda that fits best.
+
+    All above the largest 1 + r fit alike but for rounding; of these it is the least, next to others.
+    """
+    ratios, most = sorted(deviance), min(deviance.values()) * (1.0 + ALIKE)
+    best = next(k for k, ratio in enumerate(ratios) if deviance[ratio] <= most)
     return [(ratios[k] + ratios[k + 1]) / 2 for k in (best - 1, best) if 0 <= k < len(ratios) - 2]
 
 
