@@ -36,6 +36,8 @@ LARGEST_EXCESS = 6.0  # standard deviations; where the best change leaves more, 
 MAX_ITERATIONS = 60  # of the law's own fit
 STEPS = 5  # of Gauss-Newton in the size of a change
 DIFFERENCE = 1e-3
+MAX_COUNTS = 50_000  # at a time
+ALIKE = 1e-6  # relative difference of deviances
 LARGEST = 0.5  # logarithm of a change
 TINY, SINGULAR = 1e-9, 1e-6  # information of which counts say nothing, and relative to the most
 
@@ -322,9 +324,12 @@ def _least(fits: Mapping[str, ChangeFit]) -> float:
 
 
 def _middles_beside_best(deviance: Mapping[float, float]) -> list[float]:
-    """Middles of the intervals beside the lambda that fits best."""
-    ratios = sorted(deviance)
-    best = int(np.argmin([deviance[ratio] for ratio in ratios]))
+    """Middles of the intervals beside the lambda that fits best.
+
+    All above the largest 1 + r fit alike but for rounding; of these it is the least, next to others.
+    """
+    ratios, most = sorted(deviance), min(deviance.values()) * (1.0 + ALIKE)
+    best = next(k for k, ratio in enumerate(ratios) if deviance[ratio] <= most)
     return [(ratios[k] + ratios[k + 1]) / 2 for k in (best - 1, best) if 0 <= k < len(ratios) - 2]
 
 
@@ -403,7 +408,7 @@ class StageEffects:
         self.values, self.ratios = values, ratios[:, None]
         self.count = law.ratio_counter(rows)
         self.shares = [k for k, parameter in enumerate(law.parameters) if parameter.name.startswith("r")]
-        self.unchanged = np.log(self.count(values, np.broadcast_to(self.ratios, values.shape[:2]))[0])
+        self.unchanged = self._responses(values, np.broadcast_to(self.ratios, values.shape[:2]))
 
     def by(self, kind: IntArray, place: IntArray, size: Array, course: Array) -> Array:
         """Changes of log(steps), shape (q, n); NaN where the joint stalls.
@@ -423,5 +428,12 @@ class StageEffects:
         now, values = before * np.exp(ratio), self.values[place]
         values[..., 0] *= np.exp(unit) * np.minimum(now, 1.0) / np.minimum(before, 1.0)
         values[..., self.shares] *= np.exp(share)[..., None]
+        return self._responses(values, now) - self.unchanged[place]
+
+    def _responses(self, values: Array, ratios: Array) -> Array:
+        """log(steps), shape (q, n), so many at a time that memory does not grow with all of them."""
+        size = max(MAX_COUNTS // values.shape[1], 1)
+        starts = range(0, max(len(values), 1), size)
+        counts = [self.count(values[k : k + size], ratios[k : k + size])[0] for k in starts]
         with np.errstate(invalid="ignore"):
-            return np.log(self.count(values, now)[0]) - self.unchanged[place]
+            return np.log(np.concatenate(counts))

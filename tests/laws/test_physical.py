@@ -115,6 +115,19 @@ def test_counts_are_the_integral_of_one_over_the_step_size(kind, ratios):
         assert count == pytest.approx(expected, rel=1e-7)
 
 
+@pytest.mark.parametrize("kind", LAWS)
+def test_traverses_are_counted_under_many_laws_at_once_as_under_each(kind):
+    law, values = law_and_values(kind, (1.1, 1.1))
+    rows = traverses(law.joint, one_reach=kind == "base-one-reach")
+    each, ratios, n = np.outer([0.9, 1.0, 1.1], values), (0.8, 1.0, FRICTION_LIMITED), len(rows["start"])
+    stacked = np.repeat(each[:, None], n, axis=1), np.repeat(np.array(ratios)[:, None], n, axis=1)
+    at_once = law.ratio_counter(rows)(*stacked)
+    for counts, slopes, own, ratio in zip(*at_once, each, ratios, strict=True):
+        expected = law_and_values(kind, (ratio, ratio))[0].counts(rows, own)
+        np.testing.assert_allclose(counts, expected[0], rtol=1e-9)
+        np.testing.assert_allclose(slopes, expected[1], rtol=1e-7, atol=1e-12 * np.abs(expected[1]).max())
+
+
 def test_a_rotary_step_falls_as_inertia_grows_only_where_friction_limits_it():
     out = {
         "q3": [0.0, 0.012],
