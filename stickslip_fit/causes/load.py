@@ -140,12 +140,13 @@ class LoadNonlinearity(TermCause):
         """See `Cause.describe`."""
         if not parameters:
             return super().describe(parameters)
-        sizes = [
-            [f"{k:+} for {k.joint} {format_direction(k.direction)}" for k in parameters if k.name == name]
-            for name in BEND_SIZES
-        ]
-        cubic = f", and with the cube of the load by {join_words(sizes[1])}" if sizes[1] else ""
-        return f"The response to load bends, by {join_words(sizes[0])} (joint and direction){cubic}"
+        clear = [k for k in parameters if not k.size.low < 0.0 < k.size.high] or parameters
+        sizes = {k: f"{k:+} for {k.joint} {format_direction(k.direction)}" for k in clear}
+        bends, cubic = (
+            join_words([text for k, text in sizes.items() if k.name == name]) for name in BEND_SIZES
+        )
+        parts = [f"by {bends}" if bends else "", f"with the cube of the load by {cubic}" if cubic else ""]
+        return f"The response to load bends, {', and '.join(filter(None, parts))} (joint and direction)"
 
     def unload(self, state: State) -> State:
         """See `TermCause.unload`."""
