@@ -70,7 +70,7 @@ BEND_SHAPES: dict[str, tuple[Callable[[Array], Array], ...]] = {
     "tanh": (lambda load: np.tanh(2.0 * load),),
     "square-and-cube": (np.square, lambda load: load * load * load),
 }
-PRIOR_SD = 0.2  # of each size of a bend that has two, which few configurations cannot tell apart
+PRIOR_SD = 0.05  # of each size of a bend that has two, which few configurations cannot tell apart
 BEND_SIZES = {"k": "bend", "cubic": "cubic bend"}
 JOINT_DIRECTIONS = tuple((joint, direction) for joint in JOINTS for direction in "+-")
 
