@@ -8,7 +8,7 @@ stages. Derivatives follow by the chain rule, exact wherever those of the pieces
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar, Literal
@@ -141,9 +141,10 @@ class ExtendedTableLaw:
         """See `TableLaw.response`."""
         return self.law.response(rows)
 
-    def start_values(self, rows: Rows, y: Array) -> Array:
+    def start_values(self, rows: Rows, y: Array, near: Sequence[Array] | None = None) -> Array:
         """See `TableLaw.start_values`: the law's own, with the causes absent."""
-        return np.concatenate([self.law.start_values(rows, y), self.null_values])
+        own = None if near is None else [one[: len(self.law.parameters)] for one in near]
+        return np.concatenate([self.law.start_values(rows, y, own), self.null_values])
 
     def predict(self, rows: Rows, values: Array) -> Array:
         """The response, shape (n,)."""
