@@ -23,7 +23,7 @@ from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.cause_formula import CauseFormula
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.errors import InputError
-from stickslip_fit.laws.table import is_linear, spread
+from stickslip_fit.laws.table_start import is_linear, spread
 from stickslip_fit.units import to_si
 
 # Along each of so many parameters that are no amplitudes, to begin with; and of all places together.

@@ -360,6 +360,11 @@ class ColumnDependence(CovariateCause, AddedTerm):
     sentence = "The response follows the column {column}{opposite}"
 
     @property
+    def constant_beyond(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `TableCause`."""
+        return (self.column,)
+
+    @property
     def remedy(self) -> str:  # type: ignore[override]
         """See `GenericCause`."""
         return f"keeping {self.column} steady"

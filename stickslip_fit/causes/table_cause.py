@@ -8,12 +8,13 @@ stages. Derivatives follow by the chain rule, exact wherever those of the pieces
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar, Literal
 
 import numpy as np
+import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause
@@ -38,10 +39,13 @@ class TableCause(Cause):
         the response, or multiplies it.
     target : str
         The column that it replaces.
+    constant_beyond : tuple of str
+        Columns beyond whose known values the effect is what it is at the last of them.
     """
 
     stage: Stage = "term"
     target: str = ""
+    constant_beyond: tuple[str, ...] = ()
     joints: ClassVar[tuple[int, ...]] = (1,)
     physics: ClassVar[str] = ""
     shows_best: ClassVar[str] = ""
@@ -85,11 +89,19 @@ class ExtendedTableLaw:
     """A law of a table and the causes by which the response departs from it.
 
     Its parameters are the law's own, then those of each cause under ``cause.parameter``; the causes' are
-    shared by all rows. Methods are those of `TableLaw`.
+    shared by all rows. Methods are those of `TableLaw`. `known` has the range of columns in the rows that the
+    causes were fitted to, where it is not all that causes know of them.
     """
 
     law: TableLaw
     causes: tuple[TableCause, ...]
+    known: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def fitted_to(self, rows: pd.DataFrame) -> ExtendedTableLaw:
+        """The law as these rows know it: causes of other rows are constant beyond them."""
+        columns = {name for cause in self.causes for name in cause.constant_beyond}
+        limits = {name: (float(rows[name].min()), float(rows[name].max())) for name in sorted(columns)}
+        return replace(self, known=limits)
 
     @cached_property
     def cause_parameters(self) -> tuple[CauseParameter, ...]:
@@ -141,9 +153,10 @@ class ExtendedTableLaw:
         """See `TableLaw.response`."""
         return self.law.response(rows)
 
-    def start_values(self, rows: Rows, y: Array) -> Array:
+    def start_values(self, rows: Rows, y: Array, near: Sequence[Array] | None = None) -> Array:
         """See `TableLaw.start_values`: the law's own, with the causes absent."""
-        return np.concatenate([self.law.start_values(rows, y), self.null_values])
+        own = None if near is None else [one[: len(self.law.parameters)] for one in near]
+        return np.concatenate([self.law.start_values(rows, y, own), self.null_values])
 
     def predict(self, rows: Rows, values: Array) -> Array:
         """The response, shape (n,)."""
@@ -162,7 +175,7 @@ class ExtendedTableLaw:
         law = self.law.right.function(tuple(name for name in variable if name in self.law.right.names))
         effects = {
             stage: [
-                (cause.target, places, cause.effect(rows, (*variable, response)))
+                (cause.target, places, cause.effect(self._clip(rows, cause), (*variable, response)))
                 for cause, places in self._places
                 if cause.stage_in(response) == stage
             ]
@@ -192,6 +205,13 @@ class ExtendedTableLaw:
             return total, slopes
 
         return predict
+
+    def _clip(self, rows: Rows, cause: TableCause) -> Rows:
+        """Rows within what is known of a cause's columns."""
+        names = [name for name in cause.constant_beyond if name in self.known]
+        if not names:
+            return rows
+        return {**rows, **{name: np.clip(np.asarray(rows[name], float), *self.known[name]) for name in names}}
 
     @property
     def _places(self) -> list[tuple[TableCause, slice]]:

@@ -64,6 +64,11 @@ class SmoothTableTerm(GenericCause):
         return tuple(name for name in self.carriers if name != PREDICTION)
 
     @property
+    def constant_beyond(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `TableCause`."""
+        return self.columns
+
+    @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `Cause`."""
         meaning = f"of a smooth function of {' and '.join(self.carriers)}"
@@ -147,6 +152,7 @@ class PeriodicTableTerm(SmoothTableTerm):
     physics = "Whatever has this period: the table alone shows that the response follows it."
     shows_best = "one condition again and again, at most a quarter of the period apart"
     columns = ("session", "session_seconds")
+    constant_beyond = ()
 
     def __str__(self) -> str:
         """Its period in words.

@@ -39,6 +39,7 @@ MIN_OPEN = 0.5  # whitened norm of what lambda leaves open in an effect
 LOG_STRENGTHS = (0.0, 8.0)  # logarithm of the least and the greatest strength of a smooth effect
 MIN_FINER = 10.0  # nats, of a cause that is looked at more closely
 MIN_FORM_SHARE, MAX_FORMS = 0.003, 8  # of the square of all alternative forms; their number
+MAX_SHAPES = 300  # of one kind, whose neighbours resemble each other
 # Of a proposal: singular values of effects of norm 1, and rows for each of them.
 MIN_FORM_LENGTH, ROWS_PER_FORM = 0.03, 6
 MAX_HARMONIC = 12  # of a strict period, near which nothing is another finding
@@ -298,6 +299,7 @@ def alternative_forms(linearized: LinearizedFit, selected: SelectedCause) -> Arr
     powers = linearized.whiten(np.concatenate([effect**2, effect**3], axis=1))
     length = np.linalg.norm(powers, axis=0)
     shapes = _other_shapes(linearized, selected, misfit)
+    shapes = [one[:, :: -(-one.shape[1] // MAX_SHAPES)] for one in shapes if one.shape[1]]
     columns = np.concatenate([*shapes, powers / np.where(length > 0, length, 1.0)], axis=1)
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return left[:, singular**2 > MIN_FORM_SHARE * np.sum(singular**2)][:, :MAX_FORMS]

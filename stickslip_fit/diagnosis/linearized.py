@@ -20,7 +20,7 @@ import pandas as pd
 from scipy.sparse import csc_array, csr_array, hstack
 from scipy.sparse.linalg import splu
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.estimation._block_arrow import share_with_all, shared_covariance, solve_block_arrow
 from stickslip_fit.estimation._optimize import Groups
 
@@ -201,6 +201,7 @@ def linearize_fit(
     absorbed: Array | None = None,
     noise_filter: csr_array | None = None,
     prior_sd: Array | None = None,
+    at_bound: BoolArray | None = None,
     uncertain: Sequence[RowChanges] = (),
 ) -> LinearizedFit:
     """Linearize laws about their fitted values.
@@ -223,6 +224,8 @@ def linearize_fit(
     prior_sd : array, shape (q,), optional
         Of the last q shared parameters, see `ExtendedFit`: directions about which the data say less than the
         prior are not projected out.
+    at_bound : array of bool, shape (q,), optional
+        Of the same parameters: those that a bound holds are not projected out.
     uncertain : sequence of (array of int, array of shape (m, k)), optional
         Changes of the responses of some rows that a law's own choice leaves open, to project out; no row is
         in two of them.
@@ -247,6 +250,9 @@ def linearize_fit(
         basis = csr_array(
             hstack([basis, csr_array(_orthonormalize(open_changes - basis @ (basis.T @ open_changes)))])
         )
+    if prior_sd is not None and at_bound is not None:
+        kept = np.append(np.ones(shared - len(at_bound), dtype=bool), ~at_bound)
+        common, prior_sd = common[:, kept], prior_sd[~at_bound]
     if prior_sd is not None and np.isfinite(prior_sd).any():
         common = _keep_determined(common, basis, prior_sd)
     common = common if absorbed is None else np.concatenate([common, absorbed], axis=1)
@@ -306,6 +312,8 @@ class ExtendedFit:
     converged : bool
     prior_sd : array, shape (q,)
         Standard deviation of each parameter's normal prior about zero; infinite without one.
+    at_bound : array of bool, shape (q,)
+        Parameters that a bound holds: the fit would be better beyond it.
     """
 
     parts: tuple[LawBlock, ...]
@@ -314,6 +322,7 @@ class ExtendedFit:
     residual: Array
     converged: bool
     prior_sd: Array
+    at_bound: BoolArray
 
 
 def fit_extended(
@@ -395,7 +404,8 @@ def fit_extended(
         residual = responses - model(minimum.values[blocks.of_row])[0][:n]
     covariance = shared_covariance(minimum, sharing, scales)[n_shared:, n_shared:]
     converged = bool(minimum.converged.all())
-    return ExtendedFit(fitted, minimum.values[0, last], covariance, residual, converged, prior_sd)
+    at_bound = minimum.at_bound[0, last]
+    return ExtendedFit(fitted, minimum.values[0, last], covariance, residual, converged, prior_sd, at_bound)
 
 
 def _equal_lengths(slopes: Array, weight: Array, blocks: Groups, scales: Array) -> Array:

@@ -172,6 +172,7 @@ class DiagnosisProblem:
             absorbed=absorbed,
             noise_filter=self.noise_filter,
             prior_sd=fit.prior_sd,
+            at_bound=fit.at_bound,
             uncertain=self.uncertain,
         )
 
@@ -189,9 +190,9 @@ class DiagnosisProblem:
         if self.autocorrelation is None or self.autocorrelation.candidate_effects is None:
             return self
         parts, q = (self.parts, 0) if fit is None else (fit.parts, len(fit.values))
-        prior_sd = None if fit is None else fit.prior_sd
+        priors: dict[str, Any] = {} if fit is None else {"prior_sd": fit.prior_sd, "at_bound": fit.at_bound}
         independent = linearize_fit(
-            self.rows, parts, self.responses, self.scale, shared=self.n_shared + q, prior_sd=prior_sd
+            self.rows, parts, self.responses, self.scale, shared=self.n_shared + q, **priors
         )
         estimate = replace(self, autocorrelation=self.autocorrelation.estimate(independent))
         if not len(self.correlation) and not len(estimate.correlation):

@@ -87,7 +87,7 @@ class TableAlternatives:
     def __call__(self, linearized: LinearizedFit) -> list[Hypothesis | AR1]:
         """Every alternative for which the rows have the columns."""
         waves = self._waves(linearized) if self.roles.time else []
-        return [*self.shapes(linearized), *waves]
+        return [*self.shapes(linearized), *self._beside_white_noise(linearized), *waves]
 
     def shapes(self, linearized: LinearizedFit) -> list[Hypothesis | AR1]:
         """Those without a period."""
@@ -175,6 +175,24 @@ class TableAlternatives:
             sequences = Sequences.of(before, linearized.basis)
             hypotheses += [AR1("unknown:memory", sequences, phi) for phi in AR1_COEFFICIENTS]
         return hypotheses
+
+    def _beside_white_noise(self, linearized: LinearizedFit) -> list[Hypothesis]:
+        """Smooth functions of the time of a sampled signal: noise that persists may be as slow."""
+        if (
+            not self.sampled
+            or linearized.noise_filter is not None
+            or linearized.rows["session"].nunique() > 1
+        ):
+            return []
+        seconds = linearized.rows["session_seconds"].to_numpy(float)
+        found = []
+        for length in LENGTHS:
+            sds = tuple(map(float, prior_sds(length)[: len(np.unique(seconds)) - 1]))
+            orders = tuple((k,) for k in range(1, len(sds) + 1))
+            term = self._smooth(("session_seconds",), ((0.0, float(seconds.max())),), orders, sds)
+            effects = linearized.project(linearized.whiten(term.functions(linearized.columns) * term.sds))
+            found.append(make_hypothesis("unknown:time", term, None, effects))
+        return [one for one in found if one is not None]
 
     def _waves(self, linearized: LinearizedFit) -> list[Hypothesis]:
         rows, sessions = linearized.rows, list(split_sessions(linearized).values())

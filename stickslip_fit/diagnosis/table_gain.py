@@ -20,6 +20,7 @@ import pandas as pd
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.levels import LevelCause, name_levels
+from stickslip_fit.causes.table_cause import ExtendedTableLaw
 from stickslip_fit.diagnosis.cross_validation import (
     MAX_UNKNOWN_SHARE,
     MIN_KNOWN_STRENGTH,
@@ -220,7 +221,7 @@ def compute_table_errors(
 
 def predict_from_fit(problem: DiagnosisProblem, held_out: IntArray, fit: ExtendedFit) -> Array:
     """Responses of held-out rows less their prediction by a fit of the other rows, shape (h,)."""
-    errors = np.zeros(len(problem))
+    errors, training = np.zeros(len(problem)), problem.rows.drop(index=problem.rows.index[held_out])
     for part, fitted in zip(problem.parts, fit.parts, strict=True):
         inside = np.isin(part.rows, held_out)
         if not inside.any():
@@ -229,6 +230,7 @@ def predict_from_fit(problem: DiagnosisProblem, held_out: IntArray, fit: Extende
         if part.values.shape[1] > problem.n_shared:  # else any row has the values that all share
             labels, first = np.unique(fitted.block, return_index=True)
             at = first[np.searchsorted(labels, part.block[inside])]
-        predicted = fitted.law.predict(problem.rows.iloc[rows], fitted.values[at])
+        law = fitted.law.fitted_to(training) if isinstance(fitted.law, ExtendedTableLaw) else fitted.law
+        predicted = law.predict(problem.rows.iloc[rows], fitted.values[at])
         errors[rows] = problem.responses[rows] - predicted
     return errors[held_out]

@@ -11,6 +11,8 @@ from stickslip_fit._typing import Array
 from stickslip_fit.estimation._block_arrow import share_with_all, solve_block_arrow
 from stickslip_fit.estimation._optimize import Groups, Minimum
 
+MAX_SEARCHES = 20  # sessions whose own start is searched
+
 
 def fit_table_law(law: Any, rows: pd.DataFrame, y: Array, scale: Array) -> Array:
     """Fit a law of a table; see `minimize_table_law`.
@@ -44,15 +46,25 @@ def minimize_table_law(
     shared = np.arange(p) >= p - law.n_shared
     start = np.tile(law.start_values(rows, y), (len(sessions), 1))
     if len(sessions) > 1 and law.n_shared == 0:
-        for group in range(len(sessions)):
-            inside = sessions.of_row == group
-            start[group] = law.start_values(rows.iloc[inside], y[inside])
+        start = _start_sessions(law, rows, y, sessions, start[0])
     scales = _scales(law, rows, y, start[sessions.of_row])
     lower, upper = np.array([(one.lower, one.upper) for one in law.parameters]).reshape(p, 2).T
     return solve_block_arrow(
         law.model(rows), y, 1.0 / scale**2, sessions, share_with_all(shared, sessions), start,
         np.tile(scales, (len(sessions), 1)), lower=lower, upper=upper,
     )  # fmt: skip
+
+
+def _start_sessions(law: Any, rows: pd.DataFrame, y: Array, sessions: Groups, whole: Array) -> Array:
+    """Where each session begins, shape (g, p): of many sessions most near the values of others."""
+    searched = set(np.linspace(0, len(sessions) - 1, min(len(sessions), MAX_SEARCHES)).astype(int).tolist())
+    start, known = np.tile(whole, (len(sessions), 1)), [whole]
+    for group in sorted(range(len(sessions)), key=lambda one: one not in searched):
+        inside = sessions.of_row == group
+        near = None if group in searched else known
+        start[group] = law.start_values(rows.iloc[inside], y[inside], near)
+        known += [start[group]] if group in searched else []
+    return start
 
 
 def _sessions(rows: pd.DataFrame) -> Groups:

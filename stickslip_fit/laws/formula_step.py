@@ -30,8 +30,9 @@ from stickslip_fit.laws.base import (
 )
 from stickslip_fit.laws.integration import State, state_at
 from stickslip_fit.laws.quantities import OF_GEOMETRY, columns_of, quantity, varies_with_position
-from stickslip_fit.laws.table import TableLaw, find_linear, similar_name
+from stickslip_fit.laws.table import TableLaw, similar_name
 from stickslip_fit.laws.table_check import check_identifiable
+from stickslip_fit.laws.table_start import find_linear
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import UNITS, TableUnit, to_si
 

@@ -1,7 +1,7 @@
 """TableLaw: a law over the columns of a table, with the methods that estimators ask of a law.
 
 Parameters are in the table's own units. Those that enter linearly begin at their least squares, so that they
-need no start values; the others begin where the law says, within their bounds, or at 1.
+need no start values; the others begin where the law says, or where `table_start` finds the best fit.
 """
 
 from __future__ import annotations
@@ -10,8 +10,6 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from itertools import combinations, product
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -22,14 +20,10 @@ from stickslip_fit._function import NumericFunction
 from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.laws.base import Model, Parameter, Rows
+from stickslip_fit.laws.table_start import choose_start
 
-MAX_STARTS = 125  # places where a search may begin
-MAX_EVALUATIONS = 50  # for start values
-BAD_FIT = 1e6  # standard deviations, in place of what is no number
-MAX_LINEAR = 16  # parameters that are looked at
 _UNIT_AFTER = re.compile(r"\s*[(\[][^()\[\]]*[)\]]\s*$")  # of a column's name
 MIN_MISTYPED = 3  # letters of a name that may have a wrong one
-LINEAR_TOL = 1e-9  # share of the response's change
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,112 +102,9 @@ class TableLaw:
         measured = _all_rows(self.left.evaluate(columns), count_rows(rows))
         return measured, np.zeros(len(measured))
 
-    def start_values(self, rows: Rows, y: Array) -> Array:
-        """Where to begin, shape (p,): the best of some places, with least squares for what is linear."""
-        given = {name: float(value) for name, value in self.source.start.items()}
-        model, best, least = self.model(rows), np.ones(len(self.parameters)), np.inf
-        first = np.array([given.get(one.name, _middle(one)) for one in self.parameters])
-        free = [k for k, one in enumerate(self.parameters) if one.name not in given]
-        free.sort(key=lambda k: isfinite(self.parameters[k].upper - self.parameters[k].lower))
-        linear = find_linear(model, first, free)
-        searched = [
-            k
-            for k, one in enumerate(self.parameters)
-            if k not in linear and one.name not in given and isfinite(one.upper - one.lower)
-        ]
-        for place in _grid([self.parameters[k] for k in searched]):
-            values = first.copy()
-            values[searched] = place
-            values = solve_linear(model, values, linear, y, self.parameters)
-            residual = y - model(values)[0]
-            squares = float(residual @ residual)
-            if squares < least:
-                best, least = values, squares
-        if not isfinite(least):
-            return first
-        return best if len(linear) == len(free) else _refine(model, best, free, y, self.parameters)
-
-
-def find_linear(model: Model, values: Array, among: Sequence[int]) -> list[int]:
-    """The largest set of some parameters in which, all together, the prediction is linear.
-
-    Of two sets as large that which has the first parameters of `among`.
-    """
-    among = list(among)[:MAX_LINEAR]
-    singles = [k for k in among if is_linear(model, values, [k])]
-    pairs = {pair for pair in combinations(singles, 2) if is_linear(model, values, pair)}
-    for size in range(len(singles), 0, -1):
-        for some in combinations(singles, size):
-            if all(pair in pairs for pair in combinations(some, 2)) and is_linear(model, values, some):
-                return sorted(some)
-    return []
-
-
-def is_linear(model: Model, values: Array, together: Sequence[int]) -> bool:
-    """Whether the prediction is linear in some parameters together, the others at `values`."""
-    base, slopes = model(values)
-    moved = values.copy()
-    moved[list(together)] += 1.0 + 0.37 * np.arange(1, len(together) + 1)
-    change = slopes @ (moved - values)
-    size = np.abs(change).max(initial=0.0) + np.abs(base).max(initial=0.0)
-    error = np.abs(model(moved)[0] - base - change)
-    return bool(np.isfinite(error).all() and error.max(initial=0.0) <= LINEAR_TOL * size)
-
-
-def solve_linear(
-    model: Model, values: Array, linear: Sequence[int], y: Array, parameters: Sequence[Parameter]
-) -> Array:
-    """Values with those of the linear parameters by least squares, within their bounds."""
-    predicted, slopes = model(values)
-    columns = slopes[:, linear]
-    known = np.isfinite(predicted) & np.isfinite(columns).all(axis=1) & np.isfinite(y)
-    if not linear or not known.any():
-        return values
-    length = np.linalg.norm(columns[known], axis=0)
-    length = np.where(length > 0, length, 1.0)
-    change = np.linalg.lstsq(columns[known] / length, (y - predicted)[known], rcond=None)[0] / length
-    solved = values.copy()
-    low = [parameters[k].lower for k in linear]
-    high = [parameters[k].upper for k in linear]
-    solved[list(linear)] = np.clip(values[list(linear)] + change, low, high)
-    return solved
-
-
-def _refine(
-    model: Model, values: Array, free: Sequence[int], y: Array, parameters: Sequence[Parameter]
-) -> Array:
-    """Values with some of them by nonlinear least squares, roughly."""
-    from scipy.optimize import least_squares
-
-    size, places = float(np.std(y)) or 1.0, list(free)
-
-    def evaluate(some: Array) -> tuple[Array, Array]:
-        moved = values.copy()
-        moved[places] = some
-        predicted, jacobian = model(moved)
-        return np.nan_to_num((predicted - y) / size, nan=BAD_FIT), np.nan_to_num(jacobian[:, places] / size)
-
-    def residual(some: Array) -> Array:
-        return evaluate(some)[0]
-
-    def slopes(some: Array) -> Array:
-        return evaluate(some)[1]
-
-    low = np.array([parameters[k].lower for k in places])
-    high = np.array([parameters[k].upper for k in places])
-    length = np.sqrt(np.sum(slopes(values[places]) ** 2, axis=0))
-    solved = least_squares(
-        residual,
-        np.clip(values[places], low, high),
-        jac=slopes,
-        bounds=(low, high),
-        x_scale=np.sqrt(len(y)) / np.where(length > 0, length, np.sqrt(len(y))),
-        gtol=None,
-        max_nfev=MAX_EVALUATIONS,
-    )
-    refined = values.copy()
-    refined[places] = solved.x
-    return refined if np.isfinite(model(refined)[0]).all() else values
+    def start_values(self, rows: Rows, y: Array, near: Sequence[Array] | None = None) -> Array:
+        """Where a fit begins, shape (p,); see `choose_start`."""
+        return choose_start(self, rows, y, near)
 
 
 def number_column(rows: Rows, name: str) -> Array:
@@ -243,29 +134,6 @@ def count_rows(rows: Rows) -> int:
 def _all_rows(values: Array, n: int) -> Array:
     """Values of every row where the expression has no column."""
     return values if values.shape[:1] == (n,) else np.broadcast_to(values, (n, *values.shape)).copy()
-
-
-def _middle(parameter: Parameter) -> float:
-    low, high = parameter.lower, parameter.upper
-    if isfinite(low) and isfinite(high):
-        return float(np.sqrt(low * high)) if low > 0 else (low + high) / 2
-    if low <= 1.0 <= high:
-        return 1.0
-    return low + max(1.0, abs(low)) if isfinite(low) else high - max(1.0, abs(high))
-
-
-def _grid(parameters: Sequence[Parameter]) -> list[tuple[float, ...]]:
-    """Places within bounds, by ratio where these are above 0."""
-    if not parameters:
-        return [()]
-    number = max(2, min(7, int(MAX_STARTS ** (1 / len(parameters)))))
-    return list(product(*(spread(one.lower, one.upper, number) for one in parameters)))[:MAX_STARTS]
-
-
-def spread(low: float, high: float, number: int) -> Array:
-    """Numbers within bounds, half a spacing away from them: by ratio where these are above 0."""
-    shares = (np.arange(number) + 0.5) / number
-    return low * (high / low) ** shares if low > 0 else low + (high - low) * shares
 
 
 def similar_name(name: str, names: Iterable[str]) -> str:

@@ -7,6 +7,8 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.estimation._optimize import Groups, Minimum, minimize
+from stickslip_fit.estimation.table_law import fit_table_law
+from stickslip_fit.laws import Law
 
 pytest.importorskip("refnx", reason="NIST's files come with refnx")
 
@@ -60,3 +62,20 @@ def test_at_most_two_fail_from_the_first_start_and_none_in_silence(solved):
     for problem, (found, _) in solved:
         if right[problem.name]:
             assert digits(found.values[0], problem.certified) >= DIGITS, problem.name
+
+
+# Of many local minima, which a search from 1 ends in, or of parameters that have no effect there.
+NEED_A_START = ("Chwirut1", "Eckerle4", "Hahn1", "MGH17", "Misra1a", "Nelson", "Roszman1", "Thurber")
+
+
+@pytest.mark.parametrize("name", NEED_A_START)
+def test_a_law_of_a_table_needs_no_start_values(name):
+    problem = next(read(path) for path in FILES if path.stem == name)
+    predictors = (
+        {"x": problem.x[0]} if len(problem.x) == 1 else dict(zip(("x1", "x2"), problem.x, strict=True))
+    )
+    frame = pd.DataFrame({"y": problem.y, **predictors})
+    law = Law(f"y ~ {problem.formula}").bind_table(frame)
+    found = law.predict(frame, fit_table_law(law, frame, problem.y, np.ones(len(frame))))
+    certified, _ = problem.model()(np.broadcast_to(problem.certified, (len(frame), len(problem.certified))))
+    assert np.sum((problem.y - found) ** 2) < 1.0001 * np.sum((problem.y - certified) ** 2)

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 import stickslip_fit as ssf
+from stickslip_fit.causes.generic import ColumnDependence
 from stickslip_fit.diagnosis.table_gain import hold_out_kinds, number_time_blocks
 from tests.table.bench import BY_DIRECTION, CUBIC, LAW, bench, design
 
@@ -153,3 +154,16 @@ def test_a_wave_under_a_wander_is_judged_by_each_row_given_those_before_it():
     text = " ".join(str(diagnosis).split())
     assert "predicts held-out rows no better" in text
     assert f"each given those before it: from {before:.3f} to {after:.3f}" in text
+
+
+def test_an_extended_law_is_constant_beyond_the_rows_that_it_was_fitted_to():
+    """A polynomial that goes on beyond them is off by far more than the effect in the one row out there."""
+    z = np.append(np.linspace(0.0, 1.0, 40), -3.0)
+    frame = pd.DataFrame({"z": z, "y": np.sin(3.0 * z)})
+    law = ssf.Law("y ~ c").bind_table(frame)
+    law = ColumnDependence(column="z", low=-3.0, high=1.0, unit="").extend(law)
+    values = np.linalg.lstsq(law.jacobian(frame, np.zeros(4))[:40], frame["y"][:40], rcond=None)[0]
+    assert abs(law.predict(frame, values)[40]) > 10.0
+    within = law.fitted_to(frame[:40]).predict(frame, values)
+    np.testing.assert_allclose(within[:40], law.predict(frame, values)[:40])
+    assert within[40] == within[0]

@@ -127,3 +127,20 @@ def test_a_wave_with_harmonics_whose_size_grows_is_one_finding(seed):
     (found,) = diagnose((1.0 + 0.8 * hours / 480.0) * wave + noise, 3600.0 * hours).findings
     assert found.cause == "periodic-in-time"
     assert found.version.period == pytest.approx(24 * 3600.0, rel=1e-3)
+
+
+SLOW = {
+    "parabola": lambda u: 3.0 * u**2,
+    "turned parabola": lambda u: 12.0 * (u - 0.4) ** 2,
+    "cubic": lambda u: 24.0 * (u - 0.5) ** 3,
+}
+
+
+@pytest.mark.parametrize("shape", SLOW)
+def test_a_polynomial_in_time_is_no_warm_up_no_drift_and_no_sudden_change(shape):
+    rng, u = np.random.default_rng(0), np.arange(120) / 120
+    x = rng.uniform(0.0, 10.0, 120)
+    y = 2.0 + 0.3 * x + SLOW[shape](u) + 0.3 * rng.standard_normal(120)
+    frame = pd.DataFrame({"t": np.arange(120.0), "x": x, "y": y})
+    found = ssf.diagnose_table(frame, "y ~ a + b*x", time="t", gain=False)
+    assert [(one.cause, one.carrier) for one in found.findings] == [("unknown", "time")]
