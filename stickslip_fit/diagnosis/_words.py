@@ -16,9 +16,10 @@ import pandas as pd
 
 from stickslip_fit._format import format_p_value, join_words
 from stickslip_fit._typing import Array
-from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, TO_SOME_EXTENT, DataInfo, Finding, Gain
+from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, DataInfo, Finding, Gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import compute_shape, term_change
+from stickslip_fit.diagnosis.withdrawal import explain_unsupported
 from stickslip_fit.laws.published import name_of_laws
 
 if TYPE_CHECKING:
@@ -152,13 +153,10 @@ class Words(ABC):
     def _describe_withdrawn(self, finding: Finding) -> str:
         """What fits best but is not named, with the reason, without a full stop."""
         assert finding.gain is not None
-        before, after = map(self.info.format_size, finding.gain.judged)
-        given = f", {GIVEN_BEFORE}," if finding.gain.given_before else ""
         return (
             f"{self.describe_effect(finding)}: of all that was searched this fits best "
-            f"(p {format_p_value(finding.p_value, relation=True)}), but held-out {self.info.row}s{given} "
-            f"are not predicted better with it ({after}, without it {before}), so that {finding.cause} is "
-            "not named"
+            f"(p {format_p_value(finding.p_value, relation=True)}), but "
+            f"{explain_unsupported(finding.gain, self.info)}, so that {finding.cause} is not named"
         )
 
     def format_rms(self, finding: Finding) -> str:

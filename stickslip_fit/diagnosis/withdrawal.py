@@ -113,11 +113,17 @@ def _withdraw_terms(
 
 
 def _explain(finding: Finding, info: DataInfo) -> str:
-    gain = finding.gain
-    assert gain is not None
+    assert finding.gain is not None
+    return f"{finding.cause} is not named, since {explain_unsupported(finding.gain, info)}"
+
+
+def explain_unsupported(gain: Gain, info: DataInfo) -> str:
+    """Why a gain does not speak for a cause, as a clause."""
     before, after = map(info.format_size, gain.judged)
-    given = f", {GIVEN_BEFORE}," if gain.given_before else ""
+    given, rows = f", {GIVEN_BEFORE}," if gain.given_before else "", f"held-out {info.row}s"
+    if gain.judged[1] > gain.judged[0] or not np.isfinite(gain.high):
+        return f"{rows}{given} are not predicted better with it ({after}, without it {before})"
     return (
-        f"{finding.cause} is not named, since with it in the law held-out {info.row}s{given} are not "
-        f"predicted better ({after}, without it {before})"
+        f"{rows}{given} are predicted better with it ({after}, without it {before}) only by chance "
+        "of a few: in a replicate of these data the error could be twice as large as without it"
     )
