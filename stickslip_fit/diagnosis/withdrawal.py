@@ -124,6 +124,6 @@ def explain_unsupported(gain: Gain, info: DataInfo) -> str:
     if gain.judged[1] > gain.judged[0] or not np.isfinite(gain.high):
         return f"{rows}{given} are not predicted better with it ({after}, without it {before})"
     return (
-        f"{rows}{given} are predicted better with it ({after}, without it {before}) only by chance "
-        "of a few: in a replicate of these data the error could be twice as large as without it"
+        f"{rows}{given} are predicted better with it ({after}, without it {before}), but in a replicate "
+        "of these data the error with it could be twice that without it"
     )

@@ -171,19 +171,23 @@ def test_no_cause_no_log():
         diagnosis.require_log()
 
 
-def withdrawn(diagnosis):
-    """What a finding that does not predict better is replaced by."""
+def withdrawn(diagnosis, **changes):
+    """What a finding whose gain is changed is replaced by."""
     (finding,) = diagnosis.findings
-    poor = replace(finding, gain=replace(finding.gain, extended=2.0 * finding.gain.baseline))
+    poor = replace(finding, gain=replace(finding.gain, **changes))
     _, (unknown,) = withdraw_causes(diagnosis.selection, [poor], [poor], diagnosis.table)
     return unknown
 
 
 def test_a_cause_that_is_withdrawn_has_its_reason_in_the_responses_unit(named):
-    unknown = withdrawn(named)
-    assert unknown.cause == "unknown"
-    held_out = "held-out rows, each given those before it, are not predicted better"
-    assert re.search(rf"{held_out} \(0\.\d+ N, without it 0\.\d+ N\)", unknown.note)
+    before = named.gain.given_before[0]
+    worse = withdrawn(named, extended=2.0 * named.gain.baseline, given_before=(before, 2.0 * before))
+    assert worse.cause == "unknown"
+    held_out = "held-out rows, each given those before it, are"
+    errors = r"predicted better with it \(0\.\d+ N, without it 0\.\d+ N\)"
+    assert re.search(rf"{held_out} not {errors}", worse.note)
+    open_gain = withdrawn(named, low=-2.0 * named.gain.baseline)
+    assert re.search(rf"{held_out} {errors}, but in a replicate", open_gain.note)
 
 
 def days():
