@@ -307,7 +307,7 @@ def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Findi
     for one, before, place in zip(selected, whole.law_causes, whole.slices, strict=True):
         if one.cause == UNKNOWN:
             causes = _propose_again(training, causes)
-            if causes[-1].version is None:
+            if causes and causes[-1].version is None:
                 break
         else:
             start = whole.fit.values[place] if one.version is before.version else one.start
@@ -321,11 +321,13 @@ def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Findi
 
 
 def _propose_again(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> list[SelectedCause]:
-    """The selected causes, and unknown structure beside them with a law if there is one."""
+    """The selected causes, and unknown structure beside them if any is looked for, with a law or without."""
     fit = fit_causes(problem, selected)
     extension = problem, fit, linearize_with_causes(problem, fit, law_causes(selected))
     linearized = absorb_unknown(extension, selected)
     misfit = compute_evidence(linearized, problem, name_explained(selected), effects=[])
+    if UNKNOWN not in misfit.log_evidence_by_cause:
+        return list(selected)
     unknown = make_selected(misfit, form_cause_set(misfit, UNKNOWN))
     rng = np.random.default_rng(0)  # of simulated noise
     return propose_term(linearized, [*selected, unknown], problem.expressions, rng)

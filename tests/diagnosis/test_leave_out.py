@@ -186,6 +186,10 @@ def test_a_law_for_unknown_structure_is_searched_anew_in_each_fold(tmp_path):
     (unknown,) = selection.selected
     paired = replace(selection, selected=(replace(unknown, ahead_of_pairs=2.0),))
     assert confirm_held_out_errors(prepare_looks(paired, ALPHA), split, findings) is None
+    blind = replace(selection, problem=replace(selection.problem, alternatives=lambda _: []))
+    looks.selection = blind
+    unseen = confirm_held_out_errors(looks, split, findings)
+    np.testing.assert_allclose(unseen[1], confirmed[0], rtol=1e-4)  # nothing is left to look for
 
 
 def test_looks_that_are_not_clear_are_left_to_the_whole_selection(problem):
