@@ -86,7 +86,10 @@ def _of_name(entry: Any, inner: Callable[[Any], CauseTable]) -> CauseTable:
         known[header.name] = Covariate(header.name.removeprefix(COVARIATE_PREFIX))
     if header.name not in known:
         header.refuse((f"give one of {', '.join(known)}, {COVARIATE_PREFIX}COLUMN", ("name",)))
-    cause = known[header.name]
+    cause: Any = known[header.name]
+    form = entry.get("form") if isinstance(entry, Mapping) else None
+    if form in cause.forms:  # which says what parameters it has
+        cause = replace(cause, form=form)
     keys: dict[str, Any] = {
         name: _setting_field(cause, name, default) for name, default in _settings(cause).items()
     }

@@ -39,6 +39,29 @@ def test_the_border_converges_as_fast_as_newton_does():
     assert np.ptp(found.values[:, 1]) == 0.0
 
 
+def test_a_search_that_creeps_towards_the_end_of_the_domain_is_given_up():
+    """sqrt(1 - k) x cannot be -x: the least squares are at k = 1, beyond which there is nothing."""
+    x = np.tile(np.linspace(-1.0, 1.0, 20), 2)
+    groups = Groups(pd.DataFrame({"group": range(2)}), np.repeat([0, 1], 20))
+
+    def model(values):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            root = np.sqrt(1.0 - values[:, 1])
+            return values[:, 0] + root * x, np.stack([np.ones(40), -x / (2 * root)], axis=1)
+
+    def search(**options):
+        sharing = share_with_all(np.array([False, True]), groups)
+        return solve_block_arrow(
+            model, 0.1 - x, np.ones(40), groups, sharing, np.zeros((2, 2)), np.ones((2, 2)),
+            tolerance=0.0, most=400, **options,
+        )  # fmt: skip
+
+    whole, given_up = search(), search(least_fall=0.01)
+    assert (whole.iterations, given_up.iterations < 100) == (400, True)
+    assert not given_up.converged.any()
+    assert np.sum(given_up.residual**2) < 1.01 * np.sum(whole.residual**2)
+
+
 @pytest.mark.parametrize("bound", [np.inf, 0.8])
 def test_the_minimum_is_that_of_a_dense_solver(bound):
     """Growth y = a exp(k x) + c with one rate for all groups, free or held by a bound, against scipy."""

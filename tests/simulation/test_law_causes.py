@@ -47,6 +47,18 @@ def test_every_value_is_read_in_its_unit_and_each_drive_has_its_own(law_of):
     assert extended.causes[1].form == "cube"
 
 
+def test_a_form_has_the_parameters_of_its_own(law_of):
+    bent = BENT.replace('"cube"', '"square-and-cube"') + 'cubic = {"3+" = "-1 %"}\n'
+    curved = '[[cause]]\nname = "temperature"\nform = "curved"\nk = "0.2 %/K"\nbend = "0.5"\nmean = "20 °C"\n'
+    law = law_of(more=bent + curved)
+    found = dict(zip((one.name for one in law.laws[3].parameters), law.values[3, "+", None], strict=True))
+    wanted = {"load-nonlinearity.k[3-]": 0.02, "load-nonlinearity.cubic[3+]": -0.01}
+    wanted |= {"temperature.k": 0.002, "temperature.bend": 0.5}
+    assert {name: found[name] for name in wanted} == pytest.approx(wanted)
+    with pytest.raises(InputError, match="is no key of this table"):
+        law_of(more=bent.replace("square-and-cube", "square"))
+
+
 FAULTS = [
     (WARM.replace("3 %", "3 min"), "cause 1 A", "3 min", 'e.g. "2 %": change of the step size once warm'),
     (WARM.replace('"3 %"', "3"), "cause 1 A", "3", "a number and its unit as text"),
