@@ -28,10 +28,8 @@ RowChanges = tuple[IntArray, Array]
 RANK_TOL = 1e-6  # singular values of a block's Jacobian, relative to the largest
 MAX_LEVERAGE = 0.8  # for division by 1 - leverage: residuals of rows above it are mostly rounding
 OFFSET_TOL = 3e-3  # standard errors before the last step
-MAX_STEPS = 100
-LEAST_FALL = (
-    0.01  # of a fit: causes that cannot do what the data ask for creep to the end of the law's domain
-)
+# Of a fit. Causes that cannot do what the data ask for creep to the end of the law's domain.
+MAX_STEPS, LEAST_FALL = 100, 0.01
 
 
 @dataclass(frozen=True, eq=False)
