@@ -281,23 +281,41 @@ def linearize_at_mode(traverses: GroupData, prior: Prior) -> tuple[MarginalLikel
             f"joint {traverses.law.joint} would stall with the parameters at the centre of its prior; "
             "give a centre with step sizes above 0 in every traverse"
         )
-    p, sessions = len(prior.centre), len(traverses.groups)
-    z, mean, x = np.zeros((sessions, p)), np.zeros(p), np.zeros(p + 1)
-    spread, repeatability = prior.width, np.array(prior.repeatability)
+    z, mean, x = _first_guess(traverses, prior)
+    levels = prior.width, np.array(prior.repeatability)
     for _ in range(EXPANSION_ROUNDS):
-        z = _session_modes(traverses, prior, z, mean, spread / prior.width, repeatability)
+        z = _session_modes(traverses, prior, z, mean, *levels)
         marginal = linearize(traverses, prior, z)
         x, covariance = find_mode(marginal.log_density, x)
         mean = marginal.conditional(x[None]).centre[:, 0]
-        spread, repeatability = prior.levels(x)
+        levels = prior.levels(x)
     return marginal, x, covariance
 
 
+def expected_sessions(traverses: GroupData, prior: Prior, x: Array) -> Array:
+    """Each session's expected parameters, SI, shape (S, p), at these spreads and repeatability, (p + 1,)."""
+    z, mean, _ = _first_guess(traverses, prior)
+    spread, repeatability = prior.width, prior.levels(x)[1]
+    for _ in range(EXPANSION_ROUNDS):
+        z = _session_modes(traverses, prior, z, mean, spread, repeatability)
+        spread, repeatability = prior.levels(x)
+        conditional = linearize(traverses, prior, z).conditional(x[None])
+        mean = conditional.centre[:, 0]
+    return prior.centre + prior.width * conditional.sessions(conditional.centre)[:, :, 0].T
+
+
+def _first_guess(traverses: GroupData, prior: Prior) -> tuple[Array, Array, Array]:
+    """Sessions' z, campaign mean and hyperparameters, all at the centre of the prior."""
+    p = len(prior.centre)
+    return np.zeros((len(traverses.groups), p)), np.zeros(p), np.zeros(p + 1)
+
+
 def _session_modes(
-    traverses: GroupData, prior: Prior, start: Array, mean: Array, tau: Array, repeatability: Array
+    traverses: GroupData, prior: Prior, start: Array, mean: Array, spread: Array, repeatability: Array
 ) -> Array:
     """Each session's mode z, shape (S, p): least squares with the campaign mean as p more responses."""
     sessions, p = start.shape
+    tau = spread / prior.width
     model = traverses.law.model(traverses.rows)
     owner = np.repeat(np.arange(sessions), p)
     n = len(traverses.y)

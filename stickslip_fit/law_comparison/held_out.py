@@ -1,20 +1,25 @@
 """Held-out errors of two laws of one joint, one configuration left out at a time.
 
-Each law is fitted to all other configurations, session by session, and predicts the one left out; lambda of
-the physical law is chosen anew each time where configurations are few. Configurations, not traverses, are
-resampled for the intervals, for what a law gets wrong in one it gets wrong in every replicate (B. Efron and
-R. Tibshirani, An Introduction to the Bootstrap, Chapman & Hall, 1993).
+Each law is fitted to all other configurations and predicts the one left out. Where there are several
+sessions, each is drawn to their mean by as much as they differ (`bayes.pooling`), since the configurations
+of one leave much of its parameters open; spread and repeatability are those of all configurations. Lambda
+of the physical law is chosen anew each time where configurations are few. Configurations, not traverses,
+are resampled for the intervals, for what a law gets wrong in one it gets wrong in every replicate (B. Efron
+and R. Tibshirani, An Introduction to the Bootstrap, Chapman & Hall, 1993).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.bayes.pooling import Pooling
+from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
 from stickslip_fit.estimation.drive_ratio import RatioProfile, profile_ratio
 from stickslip_fit.estimation.identifiability import identifiable_parameters
@@ -84,6 +89,7 @@ def compare_held_out(
     published = published_law(joint, rows, machine)
     configuration = number_configurations(rows, published.features(rows))
     candidates = _candidates(profiles)
+    pools = [_pool(law, rows) for law in (published, _physical(joint, rows, machine, profiles))]
     errors = np.full((2, len(rows)), np.nan)
     for number in range(configuration.max() + 1):
         out = configuration == number
@@ -93,16 +99,20 @@ def compare_held_out(
         found = profiles
         if configuration.max() < MANY:
             found = profile_ratio(joint, training, machine, candidates, 0)
-        best = [found[way].best if way in found else FRICTION_LIMITED for way in "+-"]
-        physical = physical_law_with(joint, rows, machine, (best[0], best[1]))
+        physical = _physical(joint, rows, machine, found)
         for k, law in enumerate((published, physical)):
-            errors[k, out] = predict_held_out(law, training, test)
+            errors[k, out] = predict_held_out(law, training, test, pools[k])
     usable = np.all(np.isfinite(errors), axis=0)
     return _summarize(errors[:, usable], configuration[usable])
 
 
-def predict_held_out(law: StepLaw, training: pd.DataFrame, test: pd.DataFrame) -> Array:
-    """Errors of log(steps), shape (n,); NaN where the training cannot predict."""
+def predict_held_out(
+    law: StepLaw, training: pd.DataFrame, test: pd.DataFrame, pools: Mapping[str, Pooling]
+) -> Array:
+    """Errors of log(steps), shape (n,); NaN where the training cannot predict.
+
+    Sessions of a direction that has an entry in `pools` are drawn together.
+    """
     problem = single_problem(law, training, DEFAULT_OPTIONS)
     minimum = problem.minimize(np.ones(len(training)), problem.start)
     _, rank, covariance = identifiable_parameters(minimum.curvature, problem.scales)
@@ -110,10 +120,40 @@ def predict_held_out(law: StepLaw, training: pd.DataFrame, test: pd.DataFrame) -
     index = {key: k for k, key in enumerate(zip(table["session"], table["direction"], strict=True))}
     keys = zip(test["session"].astype(object), test["direction"].astype(object), strict=True)
     group = np.array([index.get(key, -1) for key in keys])
-    response, slopes = law.model(test)(minimum.values[group])
+    response, slopes = law.model(test)(_draw_together(minimum.values, table, law, training, pools)[group])
     spread = np.einsum("ni,nij,nj->n", slopes, covariance[group], slopes)
     known = (group >= 0) & (rank[group] == len(law.parameters)) & (spread < MAX_SPREAD)
     return np.where(known, law.response(test)[0] - response, np.nan)
+
+
+def _pool(law: StepLaw, rows: pd.DataFrame) -> dict[str, Pooling]:
+    """By direction, of those that have several sessions and do not stall at the law's start values."""
+    pools = {}
+    for direction, own in rows.groupby("direction", observed=True):
+        if own["session"].nunique() > 1:
+            with suppress(InputError):
+                pools[str(direction)] = Pooling.estimate(law, own)
+    return pools
+
+
+def _draw_together(
+    values: Array, table: pd.DataFrame, law: StepLaw, rows: pd.DataFrame, pools: Mapping[str, Pooling]
+) -> Array:
+    """Parameters of each session and direction of a table, those of pooled directions drawn together."""
+    values = values.copy()
+    for direction, pool in pools.items():
+        own = (table["direction"] == direction).to_numpy()
+        pooled = pool.fit(law, rows[rows["direction"] == direction])
+        values[own] = pooled.loc[table["session"][own]]
+    return values
+
+
+def _physical(
+    joint: int, rows: pd.DataFrame, machine: Machine, profiles: Mapping[str, RatioProfile]
+) -> StepLaw:
+    """With the likeliest lambda of each direction."""
+    best = [profiles[way].best if way in profiles else FRICTION_LIMITED for way in "+-"]
+    return physical_law_with(joint, rows, machine, (best[0], best[1]))
 
 
 def _candidates(profiles: Mapping[str, RatioProfile]) -> list[float]:

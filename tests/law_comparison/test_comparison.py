@@ -29,25 +29,26 @@ def guide(table):
     return table["joint"] == 3
 
 
-FRICTION_CASES = [("session", 3), ("thesis", 4), ("many", 5)]
+# Design, seed, and the most that errors may be over the noise; with each of many sessions on its own, 1.155.
+FRICTION_CASES = [("session", 3, 1.25), ("thesis", 4, 1.12), ("many", 6, 1.12)]
 
 
 @pytest.mark.parametrize(
-    ("design", "seed", "bristles"),
+    ("design", "seed", "most", "bristles"),
     [
         *((*case, None) for case in FRICTION_CASES),
         (*FRICTION_CASES[0], Bristles()),
         *(pytest.param(*case, Bristles(), marks=pytest.mark.nightly) for case in FRICTION_CASES[1:]),
     ],
 )
-def test_friction_limited_logs_are_predicted_as_well_as_they_repeat(design, seed, bristles, tmp_path):
+def test_friction_limited_logs_are_predicted_as_well_as_they_repeat(design, seed, most, bristles, tmp_path):
     hidden = drive_stage(design, Stage("friction", bristles), seed=seed)
     (joint,) = compare_laws(read(hidden, tmp_path, guide)).joints
     assert joint.errors.better == "physical"
     rows = hidden.campaign.plan.joint == 3
     noise = np.sqrt(np.mean(hidden.campaign.repeatability[rows] ** 2))
-    # Parameters from the other configurations add their own error; 10 % of both over some 50 traverses.
-    assert joint.errors.physical.rms < 1.25 * noise
+    # Parameters from the other configurations add their own error; 10 % of both over 60 traverses.
+    assert joint.errors.physical.rms < most * noise
     assert joint.errors.published.rms > 3 * noise
     for regime in joint.regimes:
         assert regime.name == "friction-limited"
