@@ -49,6 +49,7 @@ def execute(notebook: NotebookNode) -> NotebookNode:
         if cell.cell_type == "code":
             cell.metadata.pop("execution", None)
             cell.outputs = [each for each in cell.outputs if WIDGET not in each.get("data", {})]
+    notebook.metadata.pop("widgets", None)
     notebook.metadata["language_info"] = NotebookNode(name="python")
     return notebook
 
