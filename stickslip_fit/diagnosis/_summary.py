@@ -277,7 +277,10 @@ def ranking_tables(diagnosis: Diagnosis) -> list[Table]:
         (cause, f"{100 * probability:.0f}" if probability < 0.995 else "> 99", format_bayes_factor(power))
         for cause, probability, power in ranked
     )
-    note = "Bayes factor: how much likelier the data are with the cause than with noise alone."
+    note = (
+        "Probability: that the cause is at work; several may be at once. Bayes factor: how much likelier the "
+        "data are with the cause than with noise alone."
+    )
     unlikely = not diagnosis.findings
     return [Table("Candidate causes", columns, rows, note=note, folded=unlikely)] if rows else []
 

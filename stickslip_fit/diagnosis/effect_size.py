@@ -10,7 +10,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.special import betaincinv
+import pandas as pd
+from scipy.special import betaincinv, softmax
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import SizedParameter
@@ -25,9 +26,9 @@ from stickslip_fit.diagnosis.effect_interval import (
 )
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding, joints_of_laws
-from stickslip_fit.diagnosis.hypotheses import acts_on
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, acts_on
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, predict_departures
 from stickslip_fit.diagnosis.separability import is_distinguishable
@@ -36,6 +37,7 @@ from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.units import Z_95, Interval
 
 MIN_SQUARE = 1e-300
+CREDIBLE = 0.95
 
 
 def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float) -> tuple[Finding, ...]:
@@ -79,6 +81,7 @@ def _size_cause(
         for rival in selected.cause_set.rivals
         if not is_distinguishable(misfit.best_hypothesis(selected.cause), misfit, rival, strength)
     )
+    parameters = _size_parameters(selected.version, selected.cause, values, covariance[place, place])
     return Finding(
         selected.cause,
         selected.version,
@@ -86,7 +89,7 @@ def _size_cause(
         selected.p_value,
         joints_of_laws(part.law for part in selection.problem.parts if acts_on(selected.version, part.law)),
         size,
-        _size_parameters(selected.version, selected.cause, values, covariance[place, place]),
+        _bound_moment(parameters, selected.version, misfit, selection.problem.rows),
         together_with=selected.together_with,
     )
 
@@ -114,6 +117,56 @@ def _size_parameters(
         for parameter, value, sd, jumps in zip(version.parameters, values, error, sudden, strict=True)
         if np.isfinite(sd) or jumps
     )
+
+
+def _bound_moment(
+    parameters: tuple[SizedParameter, ...], version: Any, misfit: Misfit, rows: pd.DataFrame
+) -> tuple[SizedParameter, ...]:
+    """Parameters with the interval of the moment of a sudden change, if there is one.
+
+    It holds the likeliest moments that share 95 % of the evidence, all of them equally likely before.
+    """
+    names = [one.name for one in version.parameters if getattr(one, "sudden", False)]
+    tried = [
+        (one.values[-1], evidence)
+        for one, evidence in zip(misfit.hypotheses, misfit.log_evidence, strict=True)
+        if isinstance(one, Hypothesis) and one.values is not None and one.version == version
+    ]
+    if not names or not tried:
+        return parameters
+    moments, place = np.unique([moment for moment, _ in tried], return_inverse=True)
+    probability = np.bincount(place, softmax([evidence for _, evidence in tried]))
+    order = np.argsort(-probability)
+    likely = order[: int(np.searchsorted(np.cumsum(probability[order]), CREDIBLE)) + 1]
+    inside = rows["session"].astype(object) == version.session
+    # Rows that were set aside may have been the first or the last ones.
+    times = np.unique(np.concatenate([rows["session_seconds"][inside].to_numpy(float), moments[[0, -1]]]))
+    low, high = _stretch_of(moments, likely, times)
+    return tuple(
+        replace(
+            one, size=replace(one.size, low=min(low, one.size.estimate), high=max(high, one.size.estimate))
+        )
+        if one.name in names
+        else one
+        for one in parameters
+    )
+
+
+def _stretch_of(moments: Array, some: IntArray, times: Array) -> tuple[float, float]:
+    """Times of the rows between which some of the tried moments lie, each with half the way to the next one.
+
+    A change may have been anywhere between the row before and the row after it; before the first and after
+    the last moment, anywhere in the session, as none was tried there.
+    """
+    first, last = int(some.min()), int(some.max())
+    low, high = times[0], times[-1]
+    if first:
+        halfway = (moments[first - 1] + moments[first]) / 2
+        low = max(times[times > moments[first - 1]][0], times[times <= halfway][-1])
+    if last + 1 < len(moments):
+        halfway = (moments[last] + moments[last + 1]) / 2
+        high = min(times[times < moments[last + 1]][-1], times[times >= halfway][0])
+    return float(low), float(high)
 
 
 def _with_law(finding: Finding, selection: Selection, selected: SelectedCause, covariance: Array) -> Finding:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import binom
 
+import stickslip_fit as ssf
 from tests.hidden.generate import hide, testable
 from tests.hidden.study import DESIGNS, NOISES, Case, cases, make, score
 
@@ -42,6 +45,23 @@ def test_a_hidden_cause_is_named(cause, design):
     found = score(Case("single", design, noise, STRONG, seed), hidden)
     assert found.found
     assert cause in (found.found[0], *found.equivalent), (found.found, hidden.truth["effects"])
+
+
+@pytest.mark.parametrize("logs", [3, pytest.param(60, marks=pytest.mark.nightly)])
+def test_the_moment_of_a_jump_is_in_its_interval(logs, tmp_path):
+    """Of 95 %; at strengths at which a jump is always found, but its moment is open."""
+    held, widths = 0, []
+    for seed in range(logs):
+        hidden = hide("session", ("session-jump",), 8.0, seed=seed, forms={"session-jump": "table"})
+        hidden.write(tmp_path / "log.csv")
+        found = ssf.diagnose(ssf.read_log(tmp_path / "log.csv"), gain=False).findings[0]
+        (truth,) = (one for one in hidden.truth["effects"][0]["parameters"] if one["name"] == "moment")
+        (moment,) = (one.size for one in found.parameters if one.name == "moment")
+        held += moment.low <= 60 * truth["value"] <= moment.high
+        time = pd.to_datetime(hidden.table["time"])
+        widths.append((moment.high - moment.low) / (time.max() - time.min()).total_seconds())
+    assert held >= binom.ppf(0.005, logs, 0.95)
+    assert np.median(widths) < 0.2  # of the session
 
 
 @pytest.mark.parametrize("design", ["session", pytest.param("many", marks=pytest.mark.nightly)])

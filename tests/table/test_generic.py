@@ -126,5 +126,7 @@ def test_a_change_in_a_table_without_sessions_is_told_in_the_unit_of_its_time():
     found = ssf.diagnose_table(flow, law, time="year", gain=False)
     text = "The response falls by 248 1e8 m³, 27.5 years after the first row, and stays so"
     assert found.summary().headline[0].startswith(text)
+    (moment,) = (one.size for one in found.findings[0].parameters if one.name == "moment")
+    assert 24 < moment.low < 27 < 28 < moment.high < 32  # the posterior is within 1896 to 1902
     by_order = ssf.diagnose_table(flow, law, time="order", gain=False).summary().headline[0]
     assert "27.5 rows after the first row" in by_order
