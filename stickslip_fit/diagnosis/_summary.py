@@ -221,6 +221,8 @@ def _gain_tables(diagnosis: Diagnosis, words: Words) -> list[Table]:
         f"{(gain and gain.held_out) or info.held_out} were held out. The interval is for a fresh replicate "
         f"of this {info.data}."
     )
+    if gain is not None and gain.stalled:
+        note += f" {pluralize(gain.stalled, info.row)}, where the law alone would stall, do not count."
     if gain is not None and gain.given_before:
         before, after = gain.given_before
         cells = map(words.info.format_number, (before, after, before - after))

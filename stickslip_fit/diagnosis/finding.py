@@ -59,6 +59,9 @@ class Gain:
     given_before : tuple of float
         Where the noise of a table persists: both errors of a row given those of the rows before it that were
         held out with it, that is of its innovation. Empty where noise is independent.
+    stalled : int
+        Held-out traverses that the laws without causes cannot predict, since the joint would stall; they say
+        nothing of a cause and count on neither side.
     """
 
     baseline: float
@@ -70,6 +73,7 @@ class Gain:
     held_out: str = ""
     by_joint: pd.DataFrame = field(default_factory=pd.DataFrame, repr=False)
     given_before: tuple[float, ...] = ()
+    stalled: int = 0
 
     @property
     def cut(self) -> Interval:

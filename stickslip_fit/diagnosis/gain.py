@@ -150,7 +150,7 @@ def estimate_gain(
     findings : tuple of Finding
         The same, each with its own gain.
     """
-    extending = [finding for finding in findings if finding.version is not None]
+    extending, held_out = [one for one in findings if one.version is not None], _count_held_out(splits)
     if extending:
         compute = partial(compute_errors, selection.problem, findings=extending, selector=selector)
         known = [confirm(split, extending) if confirm else None for split in splits]
@@ -168,7 +168,12 @@ def estimate_gain(
         for before, after in pairwise(steps)
     ]
     own = tuple(replace(finding, gain=gain) for finding, gain in zip(findings, gains, strict=True))
-    return _make_gain(selection, splits, errors[[0, -1]], limits[:, -1]), own
+    whole = _make_gain(selection, splits, errors[[0, -1]], limits[:, -1])
+    return replace(whole, stalled=held_out - _count_held_out(splits)), own
+
+
+def _count_held_out(splits: Sequence[Split]) -> int:
+    return sum(len(split.held_out) for split in splits)
 
 
 def _collect_errors(

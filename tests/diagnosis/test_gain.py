@@ -289,6 +289,7 @@ def test_rows_on_which_the_laws_alone_stall_say_nothing_of_a_cause(problem):
     whole, own = estimate_gain(selection, found, splits, SELECT, alpha=ALPHA, confirm=predicted)
     n = sum(len(split.held_out) - 2 for split in splits)
     assert whole.by_session["traverses"].sum() == n
+    assert whole.stalled == 2 * len(splits)
     assert whole.baseline == pytest.approx(0.02)
     assert whole.extended == pytest.approx(np.sqrt((len(splits) * 1.0 + (n - len(splits)) * 1e-4) / n))
     assert all(np.isfinite([each.gain.low, each.gain.high]).all() for each in own)
