@@ -258,6 +258,20 @@ class TermCause(Cause):
         values : list of array, each shape (n, 1)
         """
 
+    def term_slopes(self, free: Array, state: State, values: list[Array]) -> tuple[Array, list[Array]]:
+        """Derivatives of `term` by `free` and by each value; central differences unless overridden."""
+        step = DIFFERENCE_STEP * free
+        rise = self.term(free + step, state, values) - self.term(free - step, state, values)
+        slopes = [np.zeros((1, 1))] * len(values)
+        for k, size in enumerate(self.scale):
+            if self.parameters[k].joint in (None, state.joint):
+                width, (before, own, after) = DIFFERENCE_STEP * size, (values[:k], values[k], values[k + 1 :])
+                upper, lower = (
+                    self.term(free, state, [*before, own + sign * width, *after]) for sign in (1, -1)
+                )
+                slopes[k] = (upper - lower) / (2 * width)
+        return rise / (2 * step), slopes
+
 
 class FactorCause(Cause):
     """A cause that multiplies the step size."""
@@ -371,19 +385,19 @@ class ExtendedLaw(StepLaw):
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma_slopes`; by the causes' parameters from central differences."""
-        true = self.true_state(state, values)
+        true, law_values = self.true_state(state, values), values[:, : len(self.law.parameters)]
         before, factor = self._before_factors(true, values), self._factor(true, values)
-        by_law = self._law_slopes(true, values) * factor[..., None]
-        slopes = [*np.moveaxis(by_law, -1, 0), *np.zeros((len(self.cause_parameters), len(values), 1))]
+        by_law = self.law.gamma_slopes(true, law_values)
+        slopes = [np.zeros((len(values), 1))] * len(self.parameters)
+        for (cause, columns), free in zip(self.by_stage[TermCause], self._free(true, values), strict=True):
+            by_free, by_own = cause.term_slopes(free, true, _split(values, columns))
+            by_law = by_law + by_free[..., None] * self.law.gamma_slopes(cause.unload(true), law_values)
+            slopes[columns.start : columns.stop] = [own * factor for own in by_own]
+        slopes[: len(self.law.parameters)] = np.moveaxis(by_law * factor[..., None], -1, 0)
         for columns, by_factor in self._factor_slopes(true, values):
             slopes[columns.start : columns.stop] = before * by_factor
-        for k in self._concerned(StateCause):
+        for k in (k for _, columns in self.by_stage[StateCause] for k in columns if self.affects_joint[k]):
             slopes[k] = self.difference(lambda shifted: self.gamma(state, shifted), values, k)
-        if concerned := self._concerned(TermCause):
-            free = self._free(true, values)
-            for k in concerned:
-                terms_slope = self.difference(lambda shifted: self._terms(true, shifted, free), values, k)
-                slopes[k] = terms_slope * factor
         return np.stack(np.broadcast_arrays(*slopes), axis=-1)
 
     def true_state(self, state: State, values: Array) -> State:
@@ -402,22 +416,14 @@ class ExtendedLaw(StepLaw):
     def _before_factors(self, true: State, values: Array) -> Array:
         """The law and the terms added to it."""
         gamma = self.law.gamma(true, values[:, : len(self.law.parameters)])
-        return gamma + self._terms(true, values, self._free(true, values))
-
-    def _terms(self, true: State, values: Array, free: list[Array]) -> Array:
-        terms, total = zip(self.by_stage[TermCause], free, strict=True), np.zeros((len(values), 1))
-        for (cause, columns), own in terms:
-            total = total + cause.term(own, true, _split(values, columns))
-        return total
+        for (cause, columns), free in zip(self.by_stage[TermCause], self._free(true, values), strict=True):
+            gamma = gamma + cause.term(free, true, _split(values, columns))
+        return gamma
 
     def _free(self, true: State, values: Array) -> list[Array]:
         """What each term has as the law's step size without load."""
         law_values = values[:, : len(self.law.parameters)]
         return [self.law.gamma(cause.unload(true), law_values) for cause, _ in self.by_stage[TermCause]]
-
-    def _concerned(self, kind: type[Any]) -> list[int]:
-        """The parameters of one kind of causes that have an effect on this joint."""
-        return [k for _, columns in self.by_stage[kind] for k in columns if self.affects_joint[k]]
 
     def _factor(self, true: State, values: Array) -> Array:
         factor = np.ones((len(values), 1))
@@ -442,17 +448,6 @@ class ExtendedLaw(StepLaw):
             )
             others = [one for k, one in enumerate(factors) if k != place]
             yield columns, reduce(np.multiply, others, by_own)
-
-    def _law_slopes(self, true: State, values: Array) -> Array:
-        """Derivatives of `_before_factors` by the law's own parameters; terms follow the free step size."""
-        law_values = values[:, : len(self.law.parameters)]
-        slopes, frees = self.law.gamma_slopes(true, law_values), self._free(true, values)
-        for (cause, columns), free in zip(self.by_stage[TermCause], frees, strict=True):
-            sizes, step = _split(values, columns), DIFFERENCE_STEP * free
-            rise = cause.term(free + step, true, sizes) - cause.term(free - step, true, sizes)
-            free_slopes = self.law.gamma_slopes(cause.unload(true), law_values)
-            slopes = slopes + (rise / (2 * step))[..., None] * free_slopes
-        return slopes
 
     def difference(self, function: Callable[[Array], Array], values: Array, k: int) -> Array:
         """Derivative of a function of the values by cause parameter `k`, by central differences."""

@@ -156,12 +156,27 @@ class LoadNonlinearity(TermCause):
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
         """See `TermCause.term`."""
-        zero, bend, m = np.zeros_like(state.direction_sign), 0.0 * free, len(self.groups)
-        for place, shape in enumerate(BEND_SHAPES[self.form]):
-            size = dict(zip(self.groups, values[place * m : (place + 1) * m], strict=True))
-            up, down = (size.get((state.joint, direction), zero) for direction in "+-")
-            bend = bend + np.where(state.direction_sign > 0, up, down) * shape(state.load)
-        return free * bend
+        return free * self._bend(state, values)
+
+    def term_slopes(self, free: Array, state: State, values: list[Array]) -> tuple[Array, list[Array]]:
+        """See `TermCause.term_slopes`."""
+        slopes = [np.zeros((1, 1))] * len(values)
+        for k, shape in self._shapes(state).items():
+            slopes[k] = free * shape
+        return self._bend(state, values), slopes
+
+    def _bend(self, state: State, values: list[Array]) -> Array:
+        bend = np.zeros_like(state.direction_sign)
+        for k, shape in self._shapes(state).items():
+            bend = bend + values[k] * shape
+        return bend
+
+    def _shapes(self, state: State) -> dict[int, Array]:
+        """By the place of each parameter of this joint, the share of the step size that it adds."""
+        ways = {"+": state.direction_sign > 0, "-": state.direction_sign < 0}
+        bends = [shape(state.load) for shape in BEND_SHAPES[self.form]]
+        places = enumerate((bend, *group) for bend in bends for group in self.groups)
+        return {k: ways[way] * bend for k, (bend, joint, way) in places if joint == state.joint}
 
 
 @dataclass(frozen=True)
@@ -318,6 +333,10 @@ class InertiaQuadratic(TermCause):
         """See `TermCause.term`."""
         return values[0] * state.q3 * (state.q3 - GUIDE_END)
 
+    def term_slopes(self, free: Array, state: State, values: list[Array]) -> tuple[Array, list[Array]]:
+        """See `TermCause.term_slopes`."""
+        return np.zeros_like(free), [state.q3 * (state.q3 - GUIDE_END)]
+
 
 @dataclass(frozen=True)
 class CableTorque(TermCause):
@@ -357,4 +376,11 @@ class CableTorque(TermCause):
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
         """See `TermCause.term`."""
-        return state.direction_sign * values[0] * (state.position - dict(self.middle)[state.joint])
+        return values[0] * self._deflection(state)
+
+    def term_slopes(self, free: Array, state: State, values: list[Array]) -> tuple[Array, list[Array]]:
+        """See `TermCause.term_slopes`."""
+        return np.zeros_like(free), [self._deflection(state)]
+
+    def _deflection(self, state: State) -> Array:
+        return state.direction_sign * (state.position - dict(self.middle)[state.joint])
