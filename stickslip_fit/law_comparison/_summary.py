@@ -20,7 +20,7 @@ from stickslip_fit._format import (
 from stickslip_fit._summary import Section, Summary, Table, numbers, summarize, words
 from stickslip_fit.law_comparison.comparison import JointComparison, LawComparison, Regime
 from stickslip_fit.law_comparison.experiments import Experiment
-from stickslip_fit.law_comparison.held_out import MIN_CONFIGURATIONS, ErrorEstimate
+from stickslip_fit.law_comparison.held_out import MAX_PARTS, MIN_CONFIGURATIONS, ErrorEstimate
 from stickslip_fit.logs.log import file_names
 from stickslip_fit.units import PRISMATIC, Interval
 
@@ -103,7 +103,10 @@ def _errors(comparison: LawComparison) -> Table:
         )
         for one in comparison.joints
     )
-    note = "Rms error of held-out counts, one configuration left out at a time, with its interval of 95 %."
+    note = (
+        "Rms error of counts in configurations left out one at a time, or, where there are more, in "
+        f"{MAX_PARTS} parts; with its interval of 95 %."
+    )
     return Table("Errors on configurations left out", columns, rows, stubs=1, note=note)
 
 
