@@ -22,10 +22,11 @@ from stickslip_fit.estimation.closed_form import pick_calibration
 from stickslip_fit.estimation.identifiability import describe_configuration
 from stickslip_fit.laws import StepLaw, constant_law
 from stickslip_fit.strategies.base import (
+    CalibrationPlan,
     CalibrationTask,
     NotApplicable,
     Predictor,
-    make_least_squares_predictor,
+    plan_law,
 )
 
 Loss = Callable[[Array], Array]
@@ -95,9 +96,13 @@ class ClosedForm:
         """See `Strategy.choose`."""
         return pick_calibration_traverses(task, task.law)
 
+    def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+        """See `plan_calibration`."""
+        return plan_law(task.law, task, measured)
+
     def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
         """See `Strategy.calibrate`."""
-        return make_least_squares_predictor(task, task.law, measured)
+        return self.plan(task, measured).calibrate()
 
 
 @dataclass(frozen=True)
@@ -110,9 +115,13 @@ class ConstantStepStrategy:
         """See `Strategy.choose`."""
         return pick_calibration_traverses(task, constant_law(task.law))
 
+    def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+        """See `plan_calibration`."""
+        return plan_law(constant_law(task.law), task, measured)
+
     def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
         """See `Strategy.calibrate`."""
-        return make_least_squares_predictor(task, constant_law(task.law), measured)
+        return self.plan(task, measured).calibrate()
 
 
 def pick_calibration_traverses(task: CalibrationTask, law: StepLaw) -> IntArray:

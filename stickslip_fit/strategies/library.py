@@ -24,14 +24,17 @@ from stickslip_fit.estimation.with_causes import DIFFERENCE_STEP, FixedCauseLaw,
 from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 from stickslip_fit.strategies.base import (
+    CalibrationPlan,
     CalibrationTask,
+    LawEstimate,
     NotApplicable,
     Predictor,
     SessionSelector,
     Strategy,
-    make_least_squares_predictor,
     make_predictor,
     other_sessions,
+    plan_calibration,
+    plan_law,
     response_sd,
 )
 from stickslip_fit.strategies.designs import (
@@ -61,9 +64,13 @@ class LeastSquares:
         """See `Strategy.choose`."""
         return self.design.pick(task, len(task.law.parameters) + self.more)
 
+    def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+        """See `plan_calibration`."""
+        return plan_law(task.law, task, measured)
+
     def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
         """See `Strategy.calibrate`."""
-        return make_least_squares_predictor(task, task.law, measured)
+        return self.plan(task, measured).calibrate()
 
 
 @dataclass(frozen=True)
@@ -142,32 +149,44 @@ class WithCauses:
         """See `Strategy.choose`."""
         return self.strategy.choose(task.with_causes(self._known(task)))
 
+    def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+        """See `plan_calibration`."""
+        known = self._known(task)
+        repeatability = _estimate_repeatability(task.with_causes(known))
+        uncertain = np.flatnonzero(np.diagonal(known.covariance) != 0)
+        steps = np.diag(DIFFERENCE_STEP * ExtendedLaw(task.law, known.causes).sizes)[uncertain]
+        # Recalibrated with each uncertain size changed: a wrong size changes the calibration traverses too.
+        plans = [
+            plan_calibration(
+                self.strategy,
+                replace(task, law=FixedCauseLaw(task.law, known.causes, sizes), repeatability=repeatability),
+                measured,
+            )
+            for sizes in known.values + np.concatenate([np.zeros((1, len(known.values))), steps, -steps])
+        ]
+        ends = np.cumsum([len(plan.fits) for plan in plans])
+        covariance = known.covariance[np.ix_(uncertain, uncertain)]
+
+        def finish(estimates: Sequence[LawEstimate]) -> Predictor:
+            centre, *changed = (
+                plan.finish(estimates[end - len(plan.fits) : end])
+                for plan, end in zip(plans, ends, strict=True)
+            )
+
+            def predict(rows: pd.DataFrame) -> tuple[Array, Array]:
+                mean, sd = centre(rows)
+                responses = np.array([one(rows)[0] for one in changed])
+                upper, lower = responses.reshape(2, len(uncertain), len(rows))
+                jacobian = (upper - lower).T / (2 * steps.sum(axis=1))
+                return mean, np.hypot(sd, response_sd(jacobian, covariance))
+
+            return predict
+
+        return CalibrationPlan([fit for plan in plans for fit in plan.fits], finish)
+
     def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
         """See `Strategy.calibrate`."""
-        known = self._known(task)
-        extended = task.with_causes(known)
-        nominal = ExtendedLaw(task.law, known.causes)
-        repeatability = _estimate_repeatability(extended)
-
-        def calibrate_with(sizes: Array) -> Predictor:
-            law = FixedCauseLaw(task.law, known.causes, sizes)
-            return self.strategy.calibrate(replace(task, law=law, repeatability=repeatability), measured)
-
-        # Recalibrated with each uncertain size changed: a wrong size changes the calibration traverses too.
-        centre, perturbed = calibrate_with(known.values), {}
-        for k in np.flatnonzero(np.diagonal(known.covariance) != 0):
-            step = DIFFERENCE_STEP * nominal.sizes[k]
-            change = step * (np.arange(len(known.values)) == k)
-            perturbed[k] = step, calibrate_with(known.values + change), calibrate_with(known.values - change)
-
-        def predict(rows: pd.DataFrame) -> tuple[Array, Array]:
-            mean, sd = centre(rows)
-            jacobian = np.zeros((len(rows), len(known.values)))
-            for k, (step, upper, lower) in perturbed.items():
-                jacobian[:, k] = (upper(rows)[0] - lower(rows)[0]) / (2 * step)
-            return mean, np.hypot(sd, response_sd(jacobian, known.covariance))
-
-        return predict
+        return self.plan(task, measured).calibrate()
 
     def _known(self, task: CalibrationTask) -> FixedCauses:
         known = self.known[task.session]
