@@ -243,7 +243,7 @@ class ConditionalPosterior:
 def linearize(traverses: GroupData, prior: Prior, z: Array) -> MarginalLikelihood:
     """Linearize each session about its own z, shape (S, p)."""
     values = (prior.centre + prior.width * z)[traverses.groups.of_row]
-    predicted, slopes = traverses.law.model(traverses.rows)(values)
+    predicted, slopes = traverses.model(values)
     slopes = slopes * prior.width
     response = traverses.y - predicted + np.sum(slopes * z[traverses.groups.of_row], axis=1)
     both = np.concatenate([slopes, response[:, None]], axis=1)
@@ -276,7 +276,7 @@ def linearize_at_mode(traverses: GroupData, prior: Prior) -> tuple[MarginalLikel
     InputError
         If the joint stalls under the prior's own centre.
     """
-    if not np.all(np.isfinite(traverses.law.predict(traverses.rows, prior.centre))):
+    if not np.all(np.isfinite(traverses.model(prior.centre)[0])):
         raise InputError(
             f"joint {traverses.law.joint} would stall with the parameters at the centre of its prior; "
             "give a centre with step sizes above 0 in every traverse"
@@ -298,12 +298,11 @@ def _session_modes(
 ) -> Array:
     """Each session's mode z, shape (S, p): least squares with the campaign mean as p more responses."""
     sessions, p = start.shape
-    model = traverses.law.model(traverses.rows)
     owner = np.repeat(np.arange(sessions), p)
     n = len(traverses.y)
 
     def with_campaign(z: Array) -> tuple[Array, Array]:
-        predicted, slopes = model(prior.centre + prior.width * z[:n])
+        predicted, slopes = traverses.model(prior.centre + prior.width * z[:n])
         own = np.tile(np.arange(p), sessions)
         return (
             np.append(predicted, z[np.arange(n, len(z)), own]),
@@ -313,7 +312,7 @@ def _session_modes(
     weight = np.append(1.0 / (repeatability**2 + traverses.rounding), np.tile(tau**-2, sessions))
     groups = Groups(traverses.groups.table, np.append(traverses.groups.of_row, owner))
     y = np.append(traverses.y, np.tile(mean, sessions))
-    return minimize(with_campaign, y, weight, groups, start, np.ones_like(start)).values
+    return minimize(with_campaign, y, weight, groups, start, np.ones_like(start), damping=0.0).values
 
 
 NUMBERS_PER_CHUNK = 2_000_000  # rows times draws held at a time

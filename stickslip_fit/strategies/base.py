@@ -16,8 +16,9 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.estimation._optimize import Groups, mean_step_sizes
+from stickslip_fit.estimation._optimize import Groups, group_rows, mean_step_sizes
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, JointProblem, single_problem
+from stickslip_fit.estimation.closed_form import pick_calibration
 from stickslip_fit.estimation.identifiability import identifiable_parameters
 from stickslip_fit.estimation.noise import configuration_columns
 from stickslip_fit.estimation.with_causes import FixedCauseLaw, FixedCauses
@@ -158,6 +159,20 @@ class CalibrationTask:
                 return values, self.law.scales(step)[0]
         one = np.ones(1)
         return self.law.start_values(one)[0], self.law.scales(one)[0]
+
+    @cached_property
+    def scaled_jacobian(self) -> Array:
+        """Change of each offered traverse's response with each parameter in units of its scale, (n, p)."""
+        values, scales = self.nominal
+        return (
+            self.law.jacobian(self.offered, np.broadcast_to(values, (len(self.offered), len(values))))
+            * scales
+        )
+
+    @cached_property
+    def calibration_traverses(self) -> IntArray:
+        """The law's own calibration: positions among those offered, shape (p,); -1 for none."""
+        return pick_calibration(self.law, self.offered, group_rows(self.offered), self.machine)[0]
 
     @cached_property
     def solution_of_others(self) -> LawSolution:

@@ -77,9 +77,9 @@ def make_cases(
         If the log has no usable traverse, or a joint's repeatability cannot be estimated.
     """
     rows = usable_rows(log)
-    # Plain text is selected, grouped and joined several times as fast as that of Arrow.
+    # Plain text, and few blocks of columns, are selected, grouped and joined several times as fast.
     texts = [name for name in rows if isinstance(rows[name].dtype, pd.StringDtype | pd.CategoricalDtype)]
-    rows = rows.astype(dict.fromkeys(texts, object))
+    rows = rows.astype(dict.fromkeys(texts, object)).copy()
     chosen = choose_laws(rows, log.machine, laws)
     calibration = solve_calibration(log, chosen, "closed-form")
     for joint, law in chosen.items():
