@@ -266,6 +266,7 @@ def _draw_with_precision(precision: Array, rng: np.random.Generator) -> Array:
 
 
 EXPANSION_ROUNDS = 3  # more change next to nothing
+EXPANSION_TOL = 1e-6  # of the prior's standard deviations; the error of a linearization goes with its square
 
 
 def linearize_at_mode(traverses: GroupData, prior: Prior) -> tuple[MarginalLikelihood, Array, Array]:
@@ -312,7 +313,10 @@ def _session_modes(
     weight = np.append(1.0 / (repeatability**2 + traverses.rounding), np.tile(tau**-2, sessions))
     groups = Groups(traverses.groups.table, np.append(traverses.groups.of_row, owner))
     y = np.append(traverses.y, np.tile(mean, sessions))
-    return minimize(with_campaign, y, weight, groups, start, np.ones_like(start), damping=0.0).values
+    scales = np.ones_like(start)
+    return minimize(
+        with_campaign, y, weight, groups, start, scales, damping=0.0, tolerance=EXPANSION_TOL
+    ).values
 
 
 NUMBERS_PER_CHUNK = 2_000_000  # rows times draws held at a time
