@@ -93,13 +93,13 @@ def fit_proposal(
 def _differentiate(log_density: LogDensity, x: Array) -> tuple[Array, Array]:
     """Gradient and Hessian by central differences, all points in one call."""
     d = len(x)
-    steps = DIFFERENCE_STEP * np.eye(d)
-    pairs = steps[:, None] + steps[None, :]
-    points = np.concatenate([[np.zeros(d)], steps, -steps, pairs.reshape(-1, d), -pairs.reshape(-1, d)])
-    here, up, down, both_up, both_down = np.split(log_density(x + points), np.cumsum([1, d, d, d * d]))
+    steps, (i, j) = DIFFERENCE_STEP * np.eye(d), np.triu_indices(d)
+    pairs = steps[i] + steps[j]
+    points = np.concatenate([[np.zeros(d)], steps, -steps, pairs, -pairs])
+    here, up, down, both_up, both_down = np.split(log_density(x + points), np.cumsum([1, d, d, len(i)]))
     gradient = (up - down) / (2 * DIFFERENCE_STEP)
-    alone = up + down
-    both = (both_up + both_down).reshape(d, d)
+    alone, both = up + down, np.empty((d, d))
+    both[i, j] = both[j, i] = both_up + both_down
     hessian = (both - alone[:, None] - alone[None, :] + 2 * here) / (2 * DIFFERENCE_STEP**2)
     return gradient, hessian
 
