@@ -67,8 +67,10 @@ def summarize_errors(errors: pd.DataFrame, by: Sequence[str], unit: Sequence[str
     of_group = _Groups(_number_groups(errors, by))
     units = _Groups(of_group.number[of_unit.first])
     summary = errors[[*by]].iloc[of_group.first].reset_index(drop=True)
-    pairs = np.unique(np.column_stack([of_group.number, pd.factorize(errors["traverse"])[0]]), axis=0)
-    columns: dict[str, npt.ArrayLike] = {"traverses": np.bincount(pairs[:, 0]), "units": units.size}
+    traverse, distinct = pd.factorize(errors["traverse"])
+    pairs = np.unique(of_group.number * len(distinct) + traverse)
+    traverses = np.bincount(pairs // max(len(distinct), 1))
+    columns: dict[str, npt.ArrayLike] = {"traverses": traverses, "units": units.size}
     reach = t_half_width(units.size)
     for suffix, kind in ERROR_SCALES.items():
         error = errors[kind].to_numpy(float)
