@@ -7,6 +7,7 @@ predictor of log(steps) with its standard deviation. `solve_law` fits a law with
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -290,11 +291,22 @@ class CalibrationPlan:
         return self.finish(solve_together(self.fits))
 
 
+class PlannedStrategy(ABC):
+    """A strategy that calibrates by least squares, whose fits can be solved together with those of others."""
+
+    @abstractmethod
+    def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+        """The plan of `calibrate`, which may raise NotApplicable."""
+
+    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
+        """See `Strategy.calibrate`."""
+        return self.plan(task, measured).calibrate()
+
+
 def plan_calibration(strategy: Strategy, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
     """The plan of a strategy that has one; any other calibrates by itself, when the plan is finished."""
-    plan: Callable[..., CalibrationPlan] | None = getattr(strategy, "plan", None)
-    if plan is not None:
-        return plan(task, measured)
+    if isinstance(strategy, PlannedStrategy) and type(strategy).calibrate is PlannedStrategy.calibrate:
+        return strategy.plan(task, measured)
     return CalibrationPlan((), lambda _: strategy.calibrate(task, measured))
 
 

@@ -24,7 +24,7 @@ from stickslip_fit.strategies.base import (
     CalibrationPlan,
     CalibrationTask,
     NotApplicable,
-    Predictor,
+    PlannedStrategy,
     plan_law,
 )
 
@@ -93,7 +93,7 @@ def mean_variance_loss(region: Array) -> Loss:
 
 
 @dataclass(frozen=True)
-class ClosedForm:
+class ClosedForm(PlannedStrategy):
     """The thesis's configurations: in each direction three traverses of joint 3, four of a rotary joint.
 
     With so many traverses, least squares gives the solution of the closed form.
@@ -106,16 +106,12 @@ class ClosedForm:
         return pick_calibration_traverses(task, task.law)
 
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
-        """See `plan_calibration`."""
+        """See `PlannedStrategy.plan`."""
         return plan_law(task.law, task, measured)
-
-    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
-        """See `Strategy.calibrate`."""
-        return self.plan(task, measured).calibrate()
 
 
 @dataclass(frozen=True)
-class ConstantStepStrategy:
+class ConstantStepStrategy(PlannedStrategy):
     """One step size everywhere (thesis Ch. 7), from a traverse in the law's first configuration."""
 
     name: ClassVar[str] = "constant step"
@@ -125,12 +121,8 @@ class ConstantStepStrategy:
         return pick_calibration_traverses(task, constant_law(task.law))
 
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
-        """See `plan_calibration`."""
+        """See `PlannedStrategy.plan`."""
         return plan_law(constant_law(task.law), task, measured)
-
-    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
-        """See `Strategy.calibrate`."""
-        return self.plan(task, measured).calibrate()
 
 
 def pick_calibration_traverses(task: CalibrationTask, law: StepLaw) -> IntArray:

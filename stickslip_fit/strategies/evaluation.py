@@ -190,10 +190,13 @@ def _plan(strategy: Strategy, case: EvaluationCase) -> _Measurement | NotApplica
     task = case.task
     try:
         chosen = case.rows.index.get_indexer(task.offered.index[choose_traverses(strategy, task)])
-        traverses = case.rows.iloc[chosen]
-        return _Measurement(chosen, traverses, plan_calibration(strategy, task, traverses))
     except NotApplicable as error:
         return error
+    traverses = case.rows.iloc[chosen]
+    try:
+        return _Measurement(chosen, traverses, plan_calibration(strategy, task, traverses))
+    except (NotApplicable, InputError) as error:
+        return NotApplicable(str(error))
 
 
 def _predict(

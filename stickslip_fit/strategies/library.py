@@ -28,6 +28,7 @@ from stickslip_fit.strategies.base import (
     CalibrationTask,
     LawEstimate,
     NotApplicable,
+    PlannedStrategy,
     Predictor,
     SessionSelector,
     Strategy,
@@ -49,7 +50,7 @@ from stickslip_fit.strategies.designs import (
 
 
 @dataclass(frozen=True)
-class LeastSquares:
+class LeastSquares(PlannedStrategy):
     """Fit the law to traverses chosen by a design, `more` beyond the number of parameters."""
 
     design: Design
@@ -65,12 +66,8 @@ class LeastSquares:
         return self.design.pick(task, len(task.law.parameters) + self.more)
 
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
-        """See `plan_calibration`."""
+        """See `PlannedStrategy.plan`."""
         return plan_law(task.law, task, measured)
-
-    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
-        """See `Strategy.calibrate`."""
-        return self.plan(task, measured).calibrate()
 
 
 @dataclass(frozen=True)
@@ -123,7 +120,7 @@ def _session_posterior(posterior: ConditionalPosterior, session: int) -> tuple[A
 
 
 @dataclass(frozen=True, eq=False)
-class WithCauses:
+class WithCauses(PlannedStrategy):
     """Another strategy, with causes of known size in the law.
 
     The uncertainty of the sizes adds to the predictions' standard deviations, and what the causes explain
@@ -150,7 +147,7 @@ class WithCauses:
         return self.strategy.choose(task.with_causes(self._known(task)))
 
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
-        """See `plan_calibration`."""
+        """See `PlannedStrategy.plan`."""
         known = self._known(task)
         repeatability = _estimate_repeatability(task.with_causes(known))
         uncertain = np.flatnonzero(np.diagonal(known.covariance) != 0)
@@ -183,10 +180,6 @@ class WithCauses:
             return predict
 
         return CalibrationPlan([fit for plan in plans for fit in plan.fits], finish)
-
-    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
-        """See `Strategy.calibrate`."""
-        return self.plan(task, measured).calibrate()
 
     def _known(self, task: CalibrationTask) -> FixedCauses:
         known = self.known[task.session]
