@@ -275,6 +275,15 @@ def sentences_by_joint(anova: Anova) -> dict[int, list[str]]:
     return dict(sorted(sentences.items()))
 
 
+def tests_tables(anova: Anova) -> list[Table]:
+    """The factors of each joint."""
+    joints = sorted({test.design.joint for test in anova.factor_tests})
+    return [
+        _tests_table(joint, [test for test in anova.factor_tests if test.design.joint == joint])
+        for joint in joints
+    ]
+
+
 def _tables(joint: int, anova: Anova) -> list[Table]:
     tests = [test for test in anova.factor_tests if test.design.joint == joint]
     tables = [_tests_table(joint, tests), _squares_table(joint, tests)] if tests else []

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import expm1
 from pathlib import Path
 
@@ -105,8 +106,8 @@ class Anova(Summarized):
     factor_tests : tuple of FactorTest
     not_testable : tuple of NotTestable
         Tests that the log does not allow, with the reason.
-    components : tuple of VarianceComponents
-        Of each joint that has them.
+    observations : tuple of DataFrame
+        Of each joint; see `step_size_observations`.
     positions : tuple of PositionAnalysis
         Of each joint that was driven over several stretches.
     machine : Machine
@@ -114,9 +115,15 @@ class Anova(Summarized):
 
     factor_tests: tuple[FactorTest, ...]
     not_testable: tuple[NotTestable, ...]
-    components: tuple[VarianceComponents, ...] = ()
+    observations: tuple[pd.DataFrame, ...] = ()
     positions: tuple[PositionAnalysis, ...] = ()
     machine: Machine = field(default_factory=load_machine)
+
+    @cached_property
+    def components(self) -> tuple[VarianceComponents, ...]:
+        """Variance components of each joint that has them."""
+        found = [estimate_components(rows, self.machine) for rows in self.observations]
+        return tuple(one for one in found if isinstance(one, VarianceComponents))
 
     def plot_factor(self, joint: int, factor: str) -> AxesArray:
         """One joint's observations by ``day``, ``direction`` or ``normal-force``.
@@ -185,8 +192,6 @@ def analyze_variance(
         for make_designs in (design_day_tests, design_direction_tests, design_normal_force_tests)
         for design in make_designs(subset, log.machine, choose)
     ]
-    components = [estimate_components(subset, log.machine) for _, subset in by_joint]
-    estimated = tuple(one for one in components if isinstance(one, VarianceComponents))
     along: list[tuple[PositionAnalysis | None, list[NotTestable]]] = []
     for number, subset in by_joint:
         progress(f"position along the travel, joint {number}", POSITION_SHARE * len(along) / len(by_joint))
@@ -194,7 +199,7 @@ def analyze_variance(
     positions = [analysis for analysis, _ in along if analysis is not None]
     progress("factors", POSITION_SHARE)
     anova = run_factor_tests([*designs, *(reason for _, refused in along for reason in refused)], positions)
-    return replace(anova, components=estimated, machine=log.machine)
+    return replace(anova, observations=tuple(subset for _, subset in by_joint), machine=log.machine)
 
 
 def run_factor_tests(

@@ -8,8 +8,9 @@ axis as it is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from math import isfinite
 
 import numpy as np
@@ -107,10 +108,10 @@ def choose_most_informative(rows: pd.DataFrame, by: list[str]) -> list[pd.DataFr
     by : list of str
         Columns that make a configuration.
     """
-    return choose_all(rows, by)[:1]
+    return list(islice(choose_all(rows, by), 1))
 
 
-def choose_all(rows: pd.DataFrame, by: list[str]) -> list[pd.DataFrame]:
+def choose_all(rows: pd.DataFrame, by: list[str]) -> Iterator[pd.DataFrame]:
     """Each configuration, the most informative first."""
     code = rows.groupby(by, dropna=False, sort=False).ngroup()
     cells = rows.groupby([code, "session", "direction", "orientation"], sort=False).size()
@@ -120,9 +121,10 @@ def choose_all(rows: pd.DataFrame, by: list[str]) -> list[pd.DataFrame]:
     ranking = pd.DataFrame(
         {"both": several & (replicates > 0), "several": several, "replicates": replicates, "n": by_code.sum()}
     )
-    subsets = dict(list(rows.groupby(code, sort=False)))
-    order = ranking.sort_values(list(ranking), ascending=False, kind="stable").index
-    return [subsets[one] for one in order]
+    # Configurations may be as many as traverses, and most often only the first is asked for.
+    return (
+        rows[code == one] for one in ranking.sort_values(list(ranking), ascending=False, kind="stable").index
+    )
 
 
 MAX_SESSIONS = 12  # with more, only the test over all sessions; one session can still be chosen

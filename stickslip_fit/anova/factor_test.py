@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations, product
 from math import factorial, prod
 from typing import Literal
@@ -326,7 +327,6 @@ class FactorTest:
         The F test's p-value, adjusted over all tests.
     detectable : float
         The difference between two levels that is detected at 5 % with a power of 80 %.
-    assumptions : tuple of AssumptionCheck
     """
 
     design: FactorTestDesign
@@ -336,7 +336,11 @@ class FactorTest:
     permutation: PermutationResult
     p_holm: float
     detectable: float
-    assumptions: tuple[AssumptionCheck, ...]
+
+    @cached_property
+    def assumptions(self) -> tuple[AssumptionCheck, ...]:
+        """Whether the observations are such as an F test assumes."""
+        return _assumption_checks(self.design, float(np.sqrt(self.sums.variance)))
 
     @property
     def is_significant(self) -> bool:
@@ -397,7 +401,6 @@ def run_factor_test(design: FactorTestDesign) -> FactorTest | NotTestable:
         permute_levels(values, comparison),
         float(sums.p_value),
         detectable_difference(spread, comparison),
-        _assumption_checks(design, spread),
     )
 
 

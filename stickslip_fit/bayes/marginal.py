@@ -93,13 +93,13 @@ def fit_proposal(
 def _differentiate(log_density: LogDensity, x: Array) -> tuple[Array, Array]:
     """Gradient and Hessian by central differences, all points in one call."""
     d = len(x)
-    steps = DIFFERENCE_STEP * np.eye(d)
-    pairs = steps[:, None] + steps[None, :]
-    points = np.concatenate([[np.zeros(d)], steps, -steps, pairs.reshape(-1, d), -pairs.reshape(-1, d)])
-    here, up, down, both_up, both_down = np.split(log_density(x + points), np.cumsum([1, d, d, d * d]))
+    steps, (i, j) = DIFFERENCE_STEP * np.eye(d), np.triu_indices(d)
+    pairs = steps[i] + steps[j]
+    points = np.concatenate([[np.zeros(d)], steps, -steps, pairs, -pairs])
+    here, up, down, both_up, both_down = np.split(log_density(x + points), np.cumsum([1, d, d, len(i)]))
     gradient = (up - down) / (2 * DIFFERENCE_STEP)
-    alone = up + down
-    both = (both_up + both_down).reshape(d, d)
+    alone, both = up + down, np.empty((d, d))
+    both[i, j] = both[j, i] = both_up + both_down
     hessian = (both - alone[:, None] - alone[None, :] + 2 * here) / (2 * DIFFERENCE_STEP**2)
     return gradient, hessian
 
@@ -243,7 +243,7 @@ class ConditionalPosterior:
 def linearize(traverses: GroupData, prior: Prior, z: Array) -> MarginalLikelihood:
     """Linearize each session about its own z, shape (S, p)."""
     values = (prior.centre + prior.width * z)[traverses.groups.of_row]
-    predicted, slopes = traverses.law.model(traverses.rows)(values)
+    predicted, slopes = traverses.model(values)
     slopes = slopes * prior.width
     response = traverses.y - predicted + np.sum(slopes * z[traverses.groups.of_row], axis=1)
     both = np.concatenate([slopes, response[:, None]], axis=1)
@@ -266,6 +266,7 @@ def _draw_with_precision(precision: Array, rng: np.random.Generator) -> Array:
 
 
 EXPANSION_ROUNDS = 3  # more change next to nothing
+EXPANSION_TOL = 1e-6  # of the prior's standard deviations; the error of a linearization goes with its square
 
 
 def linearize_at_mode(traverses: GroupData, prior: Prior) -> tuple[MarginalLikelihood, Array, Array]:
@@ -276,7 +277,7 @@ def linearize_at_mode(traverses: GroupData, prior: Prior) -> tuple[MarginalLikel
     InputError
         If the joint stalls under the prior's own centre.
     """
-    if not np.all(np.isfinite(traverses.law.predict(traverses.rows, prior.centre))):
+    if not np.all(np.isfinite(traverses.model(prior.centre)[0])):
         raise InputError(
             f"joint {traverses.law.joint} would stall with the parameters at the centre of its prior; "
             "give a centre with step sizes above 0 in every traverse"
@@ -316,12 +317,11 @@ def _session_modes(
     """Each session's mode z, shape (S, p): least squares with the campaign mean as p more responses."""
     sessions, p = start.shape
     tau = spread / prior.width
-    model = traverses.law.model(traverses.rows)
     owner = np.repeat(np.arange(sessions), p)
     n = len(traverses.y)
 
     def with_campaign(z: Array) -> tuple[Array, Array]:
-        predicted, slopes = model(prior.centre + prior.width * z[:n])
+        predicted, slopes = traverses.model(prior.centre + prior.width * z[:n])
         own = np.tile(np.arange(p), sessions)
         return (
             np.append(predicted, z[np.arange(n, len(z)), own]),
@@ -331,7 +331,10 @@ def _session_modes(
     weight = np.append(1.0 / (repeatability**2 + traverses.rounding), np.tile(tau**-2, sessions))
     groups = Groups(traverses.groups.table, np.append(traverses.groups.of_row, owner))
     y = np.append(traverses.y, np.tile(mean, sessions))
-    return minimize(with_campaign, y, weight, groups, start, np.ones_like(start)).values
+    scales = np.ones_like(start)
+    return minimize(
+        with_campaign, y, weight, groups, start, scales, damping=0.0, tolerance=EXPANSION_TOL
+    ).values
 
 
 NUMBERS_PER_CHUNK = 2_000_000  # rows times draws held at a time

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import cached_property
 from math import e
 from typing import Any
 
@@ -24,6 +25,7 @@ from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._optimize import Groups, group_rows, usable_rows
 from stickslip_fit.laws import Laws, Rows, StepLaw, choose_laws, traverse_length
+from stickslip_fit.laws.base import Model
 from stickslip_fit.logs import Log
 
 ROWS_PER_CHUNK = 20_000  # for which the law is evaluated at a time; they fit in the cache
@@ -39,8 +41,6 @@ class GroupData:
         log(steps) and the variance that the rounding adds; see `StepLaw.response`.
     row_index : array of int, shape (S, m)
         Positions of each session's rows, -1 beyond its last.
-    first, replicate_of : array of int
-        Rows of which no two are replicates, and for each row the position of its replicate among them.
     """
 
     law: StepLaw
@@ -49,8 +49,21 @@ class GroupData:
     y: Array
     rounding: Array
     row_index: IntArray
-    first: IntArray
-    replicate_of: IntArray
+
+    @cached_property
+    def model(self) -> Model:
+        """The response and its derivatives as a function of each row's parameters; see `StepLaw.model`."""
+        return self.law.model(self.rows)
+
+    @cached_property
+    def distinct(self) -> tuple[IntArray, IntArray]:
+        """Rows of which no two are replicates, and for each row the position of its replicate among them."""
+        conditions = list(dict.fromkeys(["session", *self.law.columns, "start", "stop"]))
+        by_condition = self.rows.groupby(conditions, dropna=False, observed=True, sort=False)
+        _, first, replicate_of = np.unique(
+            by_condition.ngroup().to_numpy(), return_index=True, return_inverse=True
+        )
+        return first, replicate_of
 
     def pad(self, column: Array, fill: float) -> Array:
         """A column, shape (n, ...), session by session, shape (S, m, ...)."""
@@ -59,8 +72,9 @@ class GroupData:
 
     def predict(self, values: Array) -> Array:
         """log(steps) by each draw of the sessions' parameters, shape (d, S, p) -> (d, n); NaN at a stall."""
-        distinct = values[:, self.groups.of_row[self.first]]
-        return predict_log_steps(self.law, self.rows.iloc[self.first], distinct)[:, self.replicate_of]
+        first, replicate_of = self.distinct
+        distinct = values[:, self.groups.of_row[first]]
+        return predict_log_steps(self.law, self.rows.iloc[first], distinct)[:, replicate_of]
 
 
 def iterate_groups(log: Log, laws: Laws | None = None) -> Iterator[tuple[int, str, GroupData]]:
@@ -90,10 +104,7 @@ def build_group_data(law: StepLaw, rows: pd.DataFrame) -> GroupData:
     row_index = np.full((len(groups), int(groups.sizes.max())), -1)
     within = np.arange(len(order)) - (ends - groups.sizes)[groups.of_row[order]]
     row_index[groups.of_row[order], within] = order
-    conditions = list(dict.fromkeys(["session", *law.columns, "start", "stop"]))
-    condition = rows.groupby(conditions, dropna=False, observed=True, sort=False).ngroup().to_numpy()
-    _, first, replicate_of = np.unique(condition, return_index=True, return_inverse=True)
-    return GroupData(law, rows, groups, y, rounding, row_index, first, replicate_of)
+    return GroupData(law, rows, groups, y, rounding, row_index)
 
 
 def predict_log_steps(law: StepLaw, rows: pd.DataFrame, values: Array) -> Array:

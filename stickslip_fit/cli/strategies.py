@@ -62,7 +62,6 @@ def compare(
 ) -> None:
     """Compare calibration strategies by their held-out accuracy and the minutes they take."""
     from stickslip_fit.estimation import load_result
-    from stickslip_fit.plotting.strategies import plot_pareto
     from stickslip_fit.strategies import (
         causes_from_other_sessions,
         causes_from_result,
@@ -101,7 +100,10 @@ def compare(
     saved = []
     if numbers is not None:
         saved.append(f"{len(save_comparison(comparison, numbers))} tables saved in {numbers}")
-    saved += save_chart(partial(plot_pareto, comparison), chart, "pareto")
+    if chart is not None:
+        from stickslip_fit.plotting.strategies import plot_pareto
+
+        saved += save_chart(partial(plot_pareto, comparison), chart, "pareto")
     show(comparison.summary(), display, source.log, saved)
 
 

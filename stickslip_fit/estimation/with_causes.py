@@ -305,7 +305,7 @@ def fixed_causes(result: Result) -> FixedCauses:
 
 
 class FixedCauseLaw(StepLaw):
-    """A published law with causes whose parameters, `sizes` of shape (q,), are fixed."""
+    """A published law with causes whose parameters, `sizes` of shape (q,), or (n, q) by row, are fixed."""
 
     name = "held"
 
@@ -333,7 +333,7 @@ class FixedCauseLaw(StepLaw):
 
     def whole(self, values: Array) -> Array:
         """Parameters of the extended law, (..., p) -> (..., p + q)."""
-        sizes = np.broadcast_to(self.sizes, (*values.shape[:-1], len(self.sizes)))
+        sizes = np.broadcast_to(self.sizes, (*values.shape[:-1], self.sizes.shape[-1]))
         return np.concatenate([values, sizes], axis=-1)
 
     def gamma(self, state: State, values: Array) -> Array:

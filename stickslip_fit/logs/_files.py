@@ -14,11 +14,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from pyarrow import parquet
 
 from stickslip_fit._format import join_words, pluralize
 from stickslip_fit._input import explain_os_error, format_path, read_file
@@ -37,6 +37,9 @@ from stickslip_fit.logs._table import (
     to_text,
 )
 from stickslip_fit.logs.schema import holds_numbers
+
+if TYPE_CHECKING:
+    from pyarrow import parquet
 
 # What pyarrow raises on a damaged file, which may have names or text that are no UTF-8.
 _READ_ERRORS = (pa.ArrowException, OSError, UnicodeDecodeError)
@@ -78,6 +81,8 @@ class ParquetTable(FileTable):
         return cells
 
     def _read(self, name: str) -> pa.Array:
+        from pyarrow import parquet
+
         # Columns are read in threads, and a ParquetFile is not thread-safe.
         source = parquet.ParquetFile(
             pa.BufferReader(self.raw), metadata=self.metadata, page_checksum_verification=True
@@ -109,6 +114,8 @@ class ParquetTable(FileTable):
 
 def open_parquet(raw: bytes, file: str, issues: IssueCollector) -> ParquetTable | None:
     """Open a Parquet file; parameters and result as for `parse_csv`."""
+    from pyarrow import parquet
+
     try:
         source = parquet.ParquetFile(pa.BufferReader(raw))
     except _READ_ERRORS as error:

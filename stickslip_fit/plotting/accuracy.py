@@ -5,7 +5,7 @@ Load coefficients after Figs. 6.2, 6.6 and 6.7 of the thesis.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -23,7 +23,6 @@ from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.result import choose_repeatability
 from stickslip_fit.laws import Elbow
 from stickslip_fit.machine import Machine
-from stickslip_fit.moves.accuracy_map import AccuracyMap
 from stickslip_fit.plotting._style import (
     DIRECTION_COLOURS,
     INK,
@@ -44,6 +43,9 @@ from stickslip_fit.plotting._style import (
 )
 from stickslip_fit.plotting._svg import Picture, make_missing_picture, make_picture, name_traverses
 from stickslip_fit.units import from_si
+
+if TYPE_CHECKING:
+    from stickslip_fit.moves import AccuracyMap
 
 MAX_CURVE_POINTS = 300
 MIN_ERROR = 0.02  # %

@@ -12,7 +12,6 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
-from scipy.ndimage import gaussian_filter
 from scipy.special import fdtri
 
 from stickslip_fit._format import format_direction, join_words, joint_name, pluralize
@@ -481,6 +480,8 @@ def _compute_ellipse(
 
 def _draw_contours(axes: Axes, x: Array, y: Array, colour: str) -> None:
     """Lines around the densest 68 and 95 % of draws."""
+    from scipy.ndimage import gaussian_filter
+
     counts, x_edges, y_edges = np.histogram2d(x, y, N_BINS, [axes.get_xlim(), axes.get_ylim()])
     density = gaussian_filter(counts, SMOOTHING_BINS)
     places = [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 from itertools import cycle
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stickslip_fit._format import format_plain, joint_name
-from stickslip_fit.capture.tuning import MAX_RELATIVE_FREQUENCY, MIN_FREQUENCY, Tuning
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.plotting._style import (
     BLUE,
@@ -30,9 +30,12 @@ from stickslip_fit.plotting._style import (
     set_log_axis,
 )
 from stickslip_fit.plotting._svg import Picture, make_picture
-from stickslip_fit.strategies import Comparison, TipErrors
-from stickslip_fit.studies import SimulationStudy
 from stickslip_fit.units import JOINTS, from_si
+
+if TYPE_CHECKING:
+    from stickslip_fit.capture.tuning import Tuning
+    from stickslip_fit.strategies import Comparison, TipErrors
+    from stickslip_fit.studies import SimulationStudy
 
 STRATEGY_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE)
 MINUTE_TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
@@ -310,6 +313,8 @@ CAPTION_LINE_HEIGHT, CAPTION_LETTERS = 0.14, 118  # inches, and letters in a lin
 
 def plot_spectrum(tuning: Tuning) -> Figure:
     """Spectra above, their difference below with the tuned band and the limit, and the conclusion."""
+    from stickslip_fit.capture.tuning import MAX_RELATIVE_FREQUENCY, MIN_FREQUENCY
+
     high = MAX_RELATIVE_FREQUENCY * tuning.rate
     shown = (tuning.frequencies >= MIN_FREQUENCY / 2) & (tuning.frequencies <= high)
     kilohertz = tuning.frequencies[shown] / 1000

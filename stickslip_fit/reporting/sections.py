@@ -18,6 +18,7 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._summary import Section, Summary
 from stickslip_fit.anova import Anova
+from stickslip_fit.anova._summary import tests_tables
 from stickslip_fit.causes import Cause
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation._summary import departures_tables, flags
@@ -151,9 +152,7 @@ def factors_section(anova: Anova, corrected: Anova | None = None, causes: Sequen
     tables = [table for section in summary.sections for table in section.tables]
     as_counted = [
         replace(table, caption=f"{table.caption}, counts as they are")
-        for section in (anova.summary().sections if corrected is not None else ())
-        for table in section.tables
-        if table.caption.startswith("Factors of")
+        for table in (tests_tables(anova) if corrected is not None else ())
     ]
     figure = sessions_picture(told.factor_tests)
     words = _take_words(summary)

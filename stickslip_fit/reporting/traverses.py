@@ -98,9 +98,9 @@ def _number_configurations(rows: pd.DataFrame, machine: Machine) -> tuple[list[i
     names = ["joint", *position_columns(rows), "start", "stop"]
     codes = rows.groupby(names, sort=False, dropna=False).ngroup()
     first = rows.loc[~codes.duplicated(), names]
-    texts = [format_configuration(row, machine) for _, row in first.iterrows()]
-    unique = list(dict.fromkeys(texts))  # both directions of a full traverse have the same text
-    return [unique.index(texts[code]) for code in codes], unique
+    texts = [format_configuration(row, machine) for row in first.to_dict("records")]
+    number = {text: k for k, text in enumerate(dict.fromkeys(texts))}  # both directions have the same text
+    return [number[texts[code]] for code in codes], list(number)
 
 
 def _quantity_payload(label: str, values: Array) -> dict[str, Any]:

@@ -1,5 +1,9 @@
 """Calibration strategies compared: how much accuracy a traverse buys."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
 from stickslip_fit.strategies import _summary as _summary  # registers how results are summarized
 from stickslip_fit.strategies.base import (
     CalibrationTask,
@@ -27,7 +31,9 @@ from stickslip_fit.strategies.library import (
     default_strategies,
     default_strategies_with_causes,
 )
-from stickslip_fit.strategies.tip_error import TipErrors, compute_tip_errors, steps_from_predictor
+
+if TYPE_CHECKING:
+    from stickslip_fit.strategies.tip_error import TipErrors, compute_tip_errors, steps_from_predictor
 
 __all__ = [
     "AtRandom",
@@ -56,3 +62,12 @@ __all__ = [
     "save_comparison",
     "steps_from_predictor",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """What `tip_error` has: it loads the planning of moves, which a comparison does without."""
+    if name in __all__:
+        from stickslip_fit.strategies import tip_error
+
+        return getattr(tip_error, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -7,6 +7,7 @@ predictor of log(steps) with its standard deviation. `solve_law` fits a law with
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,8 +17,9 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.estimation._optimize import Groups, mean_step_sizes
-from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
+from stickslip_fit.estimation._optimize import Groups, group_rows, mean_step_sizes
+from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, JointProblem, single_problem
+from stickslip_fit.estimation.closed_form import pick_calibration
 from stickslip_fit.estimation.identifiability import identifiable_parameters
 from stickslip_fit.estimation.noise import configuration_columns
 from stickslip_fit.estimation.with_causes import FixedCauseLaw, FixedCauses
@@ -95,7 +97,10 @@ def solve_law(law: StepLaw, rows: pd.DataFrame, repeatability: float) -> LawSolu
     repeatability : float
         Standard deviation of log(steps); the counts' rounding comes on top.
     """
-    problem = single_problem(law, rows, DEFAULT_OPTIONS)
+    return _solve(single_problem(law, rows, DEFAULT_OPTIONS), repeatability)
+
+
+def _solve(problem: JointProblem, repeatability: Array | float) -> LawSolution:
     minimum = problem.minimize(1.0 / (repeatability**2 + problem.rounding), problem.start)
     known, _, covariance = identifiable_parameters(minimum.curvature, problem.scales)
     return LawSolution(problem.groups, minimum.values, known & minimum.converged[:, None], covariance)
@@ -155,6 +160,20 @@ class CalibrationTask:
                 return values, self.law.scales(step)[0]
         one = np.ones(1)
         return self.law.start_values(one)[0], self.law.scales(one)[0]
+
+    @cached_property
+    def scaled_jacobian(self) -> Array:
+        """Change of each offered traverse's response with each parameter in units of its scale, (n, p)."""
+        values, scales = self.nominal
+        return (
+            self.law.jacobian(self.offered, np.broadcast_to(values, (len(self.offered), len(values))))
+            * scales
+        )
+
+    @cached_property
+    def calibration_traverses(self) -> IntArray:
+        """The law's own calibration: positions among those offered, shape (p,); -1 for none."""
+        return pick_calibration(self.law, self.offered, group_rows(self.offered), self.machine)[0]
 
     @cached_property
     def solution_of_others(self) -> LawSolution:
@@ -219,22 +238,125 @@ def select_first_traverses(rows: pd.DataFrame) -> pd.DataFrame:
     return rows[~rows[configuration_columns(rows)].round(9).duplicated()]
 
 
-def make_least_squares_predictor(task: CalibrationTask, law: StepLaw, measured: pd.DataFrame) -> Predictor:
-    """Predict by the law fitted to the measured traverses.
+@dataclass(frozen=True, eq=False)
+class LawFit:
+    """A least-squares fit to the traverses that were measured in one session and direction.
 
-    Raises
-    ------
-    NotApplicable
-        If they leave a parameter undetermined.
+    Attributes
+    ----------
+    law : StepLaw
+    measured : DataFrame
+    repeatability : float
+        Standard deviation of log(steps); the counts' rounding comes on top.
     """
-    solution = solve_law(law, measured, task.repeatability)
-    if not solution.known.all():
-        names = [parameter.name for parameter in law.parameters]
-        undetermined = ", ".join(
-            name for name, known in zip(names, solution.known[0], strict=True) if not known
+
+    law: StepLaw
+    measured: pd.DataFrame
+    repeatability: float
+
+
+@dataclass(frozen=True, eq=False)
+class LawEstimate:
+    """Parameters, shape (p,), which of them are known, and their covariance, (p, p), of one fit."""
+
+    values: Array
+    known: BoolArray
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationPlan:
+    """The fits that a calibration takes, and how its predictor follows from them.
+
+    Plans of many calibrations are made first, so that all their fits can be solved together.
+
+    Attributes
+    ----------
+    fits : sequence of LawFit
+    finish : callable
+        From an estimate for each fit to the predictor; may raise NotApplicable.
+    """
+
+    fits: Sequence[LawFit]
+    finish: Callable[[Sequence[LawEstimate]], Predictor]
+
+    def calibrate(self) -> Predictor:
+        """The predictor.
+
+        Raises
+        ------
+        NotApplicable
+            If the traverses do not determine the parameters.
+        """
+        return self.finish(solve_together(self.fits))
+
+
+class PlannedStrategy(ABC):
+    """A strategy that calibrates by least squares, whose fits can be solved together with those of others."""
+
+    @abstractmethod
+    def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+        """The plan of `calibrate`, which may raise NotApplicable."""
+
+    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
+        """See `Strategy.calibrate`."""
+        return self.plan(task, measured).calibrate()
+
+
+def plan_calibration(strategy: Strategy, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+    """The plan of a strategy that has one; any other calibrates by itself, when the plan is finished."""
+    if isinstance(strategy, PlannedStrategy) and type(strategy).calibrate is PlannedStrategy.calibrate:
+        return strategy.plan(task, measured)
+    return CalibrationPlan((), lambda _: strategy.calibrate(task, measured))
+
+
+def plan_law(law: StepLaw, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+    """Predict by a law fitted to the measured traverses."""
+
+    def finish(estimates: Sequence[LawEstimate]) -> Predictor:
+        (estimate,) = estimates
+        if not estimate.known.all():
+            undetermined = ", ".join(
+                parameter.name
+                for parameter, known in zip(law.parameters, estimate.known, strict=True)
+                if not known
+            )
+            raise NotApplicable(f"its {len(measured)} traverses leave {undetermined} open")
+        return make_predictor(law, estimate.values, estimate.covariance)
+
+    return CalibrationPlan((LawFit(law, measured, task.repeatability),), finish)
+
+
+def solve_together(fits: Sequence[LawFit]) -> list[LawEstimate]:
+    """Solve each fit by itself, all those of one law, or of one law with the same fixed causes, in one go."""
+    places: dict[tuple[int, ...], list[int]] = {}
+    for place, fit in enumerate(fits):
+        causes = fit.law.extended if isinstance(fit.law, FixedCauseLaw) else None
+        family = (id(fit.law),) if causes is None else (id(causes.law), id(causes.causes))
+        places.setdefault(family, []).append(place)
+    estimates: dict[int, LawEstimate] = {}
+    for own in places.values():
+        solution = _solve_family([fits[place] for place in own])
+        found = zip(solution.values, solution.known, solution.covariance, strict=True)
+        estimates |= {place: LawEstimate(*each) for place, each in zip(own, found, strict=True)}
+    return [estimates[place] for place in range(len(fits))]
+
+
+def _solve_family(fits: Sequence[LawFit]) -> LawSolution:
+    """Fits whose laws differ in the sizes of fixed causes only."""
+    law, number = fits[0].law, np.repeat(np.arange(len(fits)), [len(fit.measured) for fit in fits])
+    # A number in place of the session makes each fit a group of its own.
+    rows = pd.concat([fit.measured for fit in fits]).assign(session=number)
+    problem = single_problem(law, rows, DEFAULT_OPTIONS)
+    if isinstance(law, FixedCauseLaw):
+        published, causes = law.law, law.extended.causes
+        sizes = np.array([fit.law.sizes for fit in fits if isinstance(fit.law, FixedCauseLaw)])[number]
+        problem = replace(
+            problem,
+            model=FixedCauseLaw(published, causes, sizes).model(rows),
+            subset=lambda some: FixedCauseLaw(published, causes, sizes[some]).model(rows.iloc[some]),
         )
-        raise NotApplicable(f"its {len(measured)} traverses leave {undetermined} open")
-    return make_predictor(law, solution.values[0], solution.covariance[0])
+    return _solve(problem, np.array([fit.repeatability for fit in fits])[number])
 
 
 def make_predictor(law: StepLaw, values: Array, covariance: Array) -> Predictor:

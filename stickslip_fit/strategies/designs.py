@@ -17,15 +17,15 @@ import pandas as pd
 
 from stickslip_fit._format import join_words
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.estimation._optimize import RANK_TOL, group_rows
-from stickslip_fit.estimation.closed_form import pick_calibration
+from stickslip_fit.estimation._optimize import RANK_TOL
 from stickslip_fit.estimation.identifiability import describe_configuration
 from stickslip_fit.laws import StepLaw, constant_law
 from stickslip_fit.strategies.base import (
+    CalibrationPlan,
     CalibrationTask,
     NotApplicable,
-    Predictor,
-    make_least_squares_predictor,
+    PlannedStrategy,
+    plan_law,
 )
 
 Loss = Callable[[Array], Array]
@@ -46,25 +46,35 @@ def exchange_rows(jacobian: Array, count: int, loss: Loss, prior: Array) -> IntA
     loss : callable
     prior : array, shape (p, p)
         Prior information; positive definite.
-
     """
-    single, rows = jacobian[:, :, None] * jacobian[:, None, :], np.arange(len(jacobian))
+    return improve_design(jacobian, add_rows(jacobian, count, loss, prior), loss, prior)
+
+
+def add_rows(jacobian: Array, count: int, loss: Loss, prior: Array) -> IntArray:
+    """The greedy part of `exchange_rows`; positions in the order of addition."""
+    single, left = jacobian[:, :, None] * jacobian[:, None, :], np.arange(len(jacobian))
     chosen: list[int] = []
-    while len(chosen) < count:
-        remaining = np.setdiff1d(rows, chosen)
-        losses = loss(prior + single[chosen].sum(axis=0) + single[remaining])
-        chosen.append(int(remaining[np.argmin(losses)]))
+    for _ in range(count):
+        best = int(np.argmin(loss(prior + single[chosen].sum(axis=0) + single[left])))
+        chosen.append(int(left[best]))
+        left = np.delete(left, best)
+    return np.array(chosen, dtype=np.intp)
+
+
+def improve_design(jacobian: Array, begin: IntArray, loss: Loss, prior: Array) -> IntArray:
+    """The exchanges of `exchange_rows`, from a design to begin with."""
+    single, chosen, rows = jacobian[:, :, None] * jacobian[:, None, :], begin.copy(), np.arange(len(jacobian))
     best = float(loss((prior + single[chosen].sum(axis=0))[None])[0])
-    while len(remaining := np.setdiff1d(rows, chosen)):
+    while len(left := np.delete(rows, chosen)):
         information = prior + single[chosen].sum(axis=0)
-        exchanged = information - single[chosen][:, None] + single[remaining][None]
+        exchanged = information - single[chosen][:, None] + single[left][None]
         losses = loss(exchanged.reshape(-1, *information.shape))
         if not losses.min() < best - IMPROVEMENT_TOL * abs(best):
             break
         best = float(losses.min())
-        removed, added = divmod(int(np.argmin(losses)), len(remaining))
-        chosen[removed] = int(remaining[added])
-    return np.sort(np.array(chosen, dtype=np.intp))
+        removed, added = divmod(int(np.argmin(losses)), len(left))
+        chosen[removed] = left[added]
+    return np.sort(chosen)
 
 
 def negative_log_determinant(information: Array) -> Array:
@@ -83,7 +93,7 @@ def mean_variance_loss(region: Array) -> Loss:
 
 
 @dataclass(frozen=True)
-class ClosedForm:
+class ClosedForm(PlannedStrategy):
     """The thesis's configurations: in each direction three traverses of joint 3, four of a rotary joint.
 
     With so many traverses, least squares gives the solution of the closed form.
@@ -95,13 +105,13 @@ class ClosedForm:
         """See `Strategy.choose`."""
         return pick_calibration_traverses(task, task.law)
 
-    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
-        """See `Strategy.calibrate`."""
-        return make_least_squares_predictor(task, task.law, measured)
+    def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+        """See `PlannedStrategy.plan`."""
+        return plan_law(task.law, task, measured)
 
 
 @dataclass(frozen=True)
-class ConstantStepStrategy:
+class ConstantStepStrategy(PlannedStrategy):
     """One step size everywhere (thesis Ch. 7), from a traverse in the law's first configuration."""
 
     name: ClassVar[str] = "constant step"
@@ -110,9 +120,9 @@ class ConstantStepStrategy:
         """See `Strategy.choose`."""
         return pick_calibration_traverses(task, constant_law(task.law))
 
-    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
-        """See `Strategy.calibrate`."""
-        return make_least_squares_predictor(task, constant_law(task.law), measured)
+    def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+        """See `PlannedStrategy.plan`."""
+        return plan_law(constant_law(task.law), task, measured)
 
 
 def pick_calibration_traverses(task: CalibrationTask, law: StepLaw) -> IntArray:
@@ -126,8 +136,7 @@ def pick_calibration_traverses(task: CalibrationTask, law: StepLaw) -> IntArray:
         If the session lacks one, naming it.
     """
     required = task.law.calibration()[: len(law.parameters)]
-    picked = pick_calibration(task.law, task.offered, group_rows(task.offered), task.machine)[0]
-    picked = picked[: len(law.parameters)]
+    picked = task.calibration_traverses[: len(law.parameters)]
     if np.all(picked >= 0):
         return picked
     if not required:
@@ -234,12 +243,9 @@ def _pick_optimal(
 
 
 def _scaled_jacobian(task: CalibrationTask) -> Array:
-    """Change of each offered traverse's response with each parameter in units of its scale, shape (n, p)."""
-    values, scales = task.nominal
-    jacobian = task.law.jacobian(task.offered, np.broadcast_to(values, (len(task.offered), len(values))))
-    if not np.all(np.isfinite(jacobian)):
+    if not np.all(np.isfinite(task.scaled_jacobian)):
         raise NotApplicable("the joint would stall in a traverse that is offered")
-    return jacobian * scales
+    return task.scaled_jacobian
 
 
 def _check_count(task: CalibrationTask, count: int) -> None:

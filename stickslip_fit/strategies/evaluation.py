@@ -21,14 +21,19 @@ from stickslip_fit.estimation.result import JointFit
 from stickslip_fit.laws import Laws, StepLaw, choose_laws, expected_steps, traverse_length
 from stickslip_fit.logs import Log
 from stickslip_fit.strategies.base import (
+    CalibrationPlan,
     CalibrationTask,
+    LawEstimate,
     NotApplicable,
     SessionSelector,
     Strategy,
+    plan_calibration,
     select_first_traverses,
+    solve_together,
     stepping_seconds,
 )
 
+PLANNING_SHARE = 0.4  # of the time
 POSITION_COLUMNS = ["q1", "q2", "q3", "theta", "psi", "start", "stop"]
 
 
@@ -72,9 +77,9 @@ def make_cases(
         If the log has no usable traverse, or a joint's repeatability cannot be estimated.
     """
     rows = usable_rows(log)
-    # Plain text is selected, grouped and joined several times as fast as that of Arrow.
+    # Plain text, and few blocks of columns, are selected, grouped and joined several times as fast.
     texts = [name for name in rows if isinstance(rows[name].dtype, pd.StringDtype | pd.CategoricalDtype)]
-    rows = rows.astype(dict.fromkeys(texts, object))
+    rows = rows.astype(dict.fromkeys(texts, object)).copy()
     chosen = choose_laws(rows, log.machine, laws)
     calibration = solve_calibration(log, chosen, "closed-form")
     for joint, law in chosen.items():
@@ -104,21 +109,27 @@ def evaluate_strategies(
     InputError
         If a strategy chooses what is not offered.
     """
-    errors, costs, left_out = [], [], []
+    planned = []
     for done, case in enumerate(cases):
-        task = case.task
-        progress("calibrating by each strategy", done / len(cases))
+        progress("choosing traverses by each strategy", PLANNING_SHARE * done / len(cases))
+        planned.append([_plan(strategy, case) for strategy in strategies])
+    made = [one for of_case in planned for one in of_case if isinstance(one, _Measurement)]
+    estimates = iter(solve_together([fit for one in made for fit in one.plan.fits]))
+    errors, costs, left_out = [], [], []
+    for done, (case, of_case) in enumerate(zip(cases, planned, strict=True)):
+        progress("calibrating by each strategy", PLANNING_SHARE + (1 - PLANNING_SHARE) * done / len(cases))
         predictions = []
-        for strategy in strategies:
-            label = (strategy.name, task.session, task.law.joint, task.direction)
+        for strategy, one in zip(strategies, of_case, strict=True):
+            label = (strategy.name, case.task.session, case.task.law.joint, case.task.direction)
             try:
-                measured, prediction = _evaluate_case(strategy, case)
+                if isinstance(one, NotApplicable):
+                    raise one
+                predictions.append(_predict(strategy, case, one, estimates))
             except NotApplicable as error:
                 left_out.append((*label, str(error)))
                 continue
-            predictions.append(prediction)
-            steps, seconds = int(measured["steps"].sum()), float(stepping_seconds(measured).sum())
-            costs.append((*label, len(measured), steps, seconds))
+            steps, seconds = int(one.traverses["steps"].sum()), float(stepping_seconds(one.traverses).sum())
+            costs.append((*label, len(one.traverses), steps, seconds))
         if predictions:
             errors.append(_tabulate_errors(case, predictions))
     none = pd.DataFrame(columns=[*_ERROR_COLUMNS, "strategy"])
@@ -165,18 +176,42 @@ class _Prediction:
     sd: npt.NDArray[np.float64]
 
 
-def _evaluate_case(strategy: Strategy, case: EvaluationCase) -> tuple[pd.DataFrame, _Prediction]:
-    """The chosen traverses, and the predictions of the others."""
+@dataclass(frozen=True, eq=False)
+class _Measurement:
+    """The traverses that a strategy chose, their positions among the case's, and its plan."""
+
+    chosen: npt.NDArray[np.intp]
+    traverses: pd.DataFrame
+    plan: CalibrationPlan
+
+
+def _plan(strategy: Strategy, case: EvaluationCase) -> _Measurement | NotApplicable:
+    """What a strategy measures in a case, or why it cannot."""
     task = case.task
-    chosen = case.rows.index.get_indexer(task.offered.index[choose_traverses(strategy, task)])
-    measured, others = case.rows.iloc[chosen], np.delete(np.arange(len(case.rows)), chosen)
     try:
-        mean, sd = strategy.calibrate(task, measured)(case.rows.iloc[others])
+        chosen = case.rows.index.get_indexer(task.offered.index[choose_traverses(strategy, task)])
+    except NotApplicable as error:
+        return error
+    traverses = case.rows.iloc[chosen]
+    try:
+        return _Measurement(chosen, traverses, plan_calibration(strategy, task, traverses))
+    except (NotApplicable, InputError) as error:
+        return NotApplicable(str(error))
+
+
+def _predict(
+    strategy: Strategy, case: EvaluationCase, measurement: _Measurement, estimates: Iterator[LawEstimate]
+) -> _Prediction:
+    """The prediction of the traverses that were not chosen; `estimates` begin with those of its fits."""
+    own = [next(estimates) for _ in measurement.plan.fits]
+    others = np.delete(np.arange(len(case.rows)), measurement.chosen)
+    try:
+        mean, sd = measurement.plan.finish(own)(case.rows.iloc[others])
     except InputError as error:
         raise NotApplicable(str(error)) from None
     if not np.all(np.isfinite(mean)):
         raise NotApplicable("its law would stall in a traverse that is to be predicted")
-    return measured, _Prediction(strategy.name, others, np.asarray(mean), np.asarray(sd))
+    return _Prediction(strategy.name, others, np.asarray(mean), np.asarray(sd))
 
 
 def _tabulate_errors(case: EvaluationCase, predictions: Sequence[_Prediction]) -> pd.DataFrame:

@@ -24,14 +24,18 @@ from stickslip_fit.estimation.with_causes import DIFFERENCE_STEP, FixedCauseLaw,
 from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 from stickslip_fit.strategies.base import (
+    CalibrationPlan,
     CalibrationTask,
+    LawEstimate,
     NotApplicable,
+    PlannedStrategy,
     Predictor,
     SessionSelector,
     Strategy,
-    make_least_squares_predictor,
     make_predictor,
     other_sessions,
+    plan_calibration,
+    plan_law,
     response_sd,
 )
 from stickslip_fit.strategies.designs import (
@@ -46,7 +50,7 @@ from stickslip_fit.strategies.designs import (
 
 
 @dataclass(frozen=True)
-class LeastSquares:
+class LeastSquares(PlannedStrategy):
     """Fit the law to traverses chosen by a design, `more` beyond the number of parameters."""
 
     design: Design
@@ -61,9 +65,9 @@ class LeastSquares:
         """See `Strategy.choose`."""
         return self.design.pick(task, len(task.law.parameters) + self.more)
 
-    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
-        """See `Strategy.calibrate`."""
-        return make_least_squares_predictor(task, task.law, measured)
+    def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+        """See `PlannedStrategy.plan`."""
+        return plan_law(task.law, task, measured)
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,7 @@ def _session_posterior(posterior: ConditionalPosterior, session: int) -> tuple[A
 
 
 @dataclass(frozen=True, eq=False)
-class WithCauses:
+class WithCauses(PlannedStrategy):
     """Another strategy, with causes of known size in the law.
 
     The uncertainty of the sizes adds to the predictions' standard deviations, and what the causes explain
@@ -142,32 +146,40 @@ class WithCauses:
         """See `Strategy.choose`."""
         return self.strategy.choose(task.with_causes(self._known(task)))
 
-    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
-        """See `Strategy.calibrate`."""
+    def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+        """See `PlannedStrategy.plan`."""
         known = self._known(task)
-        extended = task.with_causes(known)
-        nominal = ExtendedLaw(task.law, known.causes)
-        repeatability = _estimate_repeatability(extended)
-
-        def calibrate_with(sizes: Array) -> Predictor:
-            law = FixedCauseLaw(task.law, known.causes, sizes)
-            return self.strategy.calibrate(replace(task, law=law, repeatability=repeatability), measured)
-
+        repeatability = _estimate_repeatability(task.with_causes(known))
+        uncertain = np.flatnonzero(np.diagonal(known.covariance) != 0)
+        steps = np.diag(DIFFERENCE_STEP * ExtendedLaw(task.law, known.causes).sizes)[uncertain]
         # Recalibrated with each uncertain size changed: a wrong size changes the calibration traverses too.
-        centre, perturbed = calibrate_with(known.values), {}
-        for k in np.flatnonzero(np.diagonal(known.covariance) != 0):
-            step = DIFFERENCE_STEP * nominal.sizes[k]
-            change = step * (np.arange(len(known.values)) == k)
-            perturbed[k] = step, calibrate_with(known.values + change), calibrate_with(known.values - change)
+        plans = [
+            plan_calibration(
+                self.strategy,
+                replace(task, law=FixedCauseLaw(task.law, known.causes, sizes), repeatability=repeatability),
+                measured,
+            )
+            for sizes in known.values + np.concatenate([np.zeros((1, len(known.values))), steps, -steps])
+        ]
+        ends = np.cumsum([len(plan.fits) for plan in plans])
+        covariance = known.covariance[np.ix_(uncertain, uncertain)]
 
-        def predict(rows: pd.DataFrame) -> tuple[Array, Array]:
-            mean, sd = centre(rows)
-            jacobian = np.zeros((len(rows), len(known.values)))
-            for k, (step, upper, lower) in perturbed.items():
-                jacobian[:, k] = (upper(rows)[0] - lower(rows)[0]) / (2 * step)
-            return mean, np.hypot(sd, response_sd(jacobian, known.covariance))
+        def finish(estimates: Sequence[LawEstimate]) -> Predictor:
+            centre, *changed = (
+                plan.finish(estimates[end - len(plan.fits) : end])
+                for plan, end in zip(plans, ends, strict=True)
+            )
 
-        return predict
+            def predict(rows: pd.DataFrame) -> tuple[Array, Array]:
+                mean, sd = centre(rows)
+                responses = np.array([one(rows)[0] for one in changed])
+                upper, lower = responses.reshape(2, len(uncertain), len(rows))
+                jacobian = (upper - lower).T / (2 * steps.sum(axis=1))
+                return mean, np.hypot(sd, response_sd(jacobian, covariance))
+
+            return predict
+
+        return CalibrationPlan([fit for plan in plans for fit in plan.fits], finish)
 
     def _known(self, task: CalibrationTask) -> FixedCauses:
         known = self.known[task.session]

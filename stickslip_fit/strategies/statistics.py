@@ -23,7 +23,7 @@ from stickslip_fit.estimation._optimize import RANK_TOL, mean_step_sizes
 from stickslip_fit.estimation.noise import COVERAGE
 from stickslip_fit.laws import traverse_length
 from stickslip_fit.strategies.base import solve_law, stepping_seconds
-from stickslip_fit.strategies.designs import PRIOR_INFORMATION, exchange_rows, mean_variance_loss
+from stickslip_fit.strategies.designs import PRIOR_INFORMATION, add_rows, improve_design, mean_variance_loss
 from stickslip_fit.strategies.evaluation import POSITION_COLUMNS, EvaluationCase
 
 SESSION_UNIT, CONFIGURATION_UNIT = ("session",), ("direction", *POSITION_COLUMNS)
@@ -67,8 +67,10 @@ def summarize_errors(errors: pd.DataFrame, by: Sequence[str], unit: Sequence[str
     of_group = _Groups(_number_groups(errors, by))
     units = _Groups(of_group.number[of_unit.first])
     summary = errors[[*by]].iloc[of_group.first].reset_index(drop=True)
-    pairs = np.unique(np.column_stack([of_group.number, pd.factorize(errors["traverse"])[0]]), axis=0)
-    columns: dict[str, npt.ArrayLike] = {"traverses": np.bincount(pairs[:, 0]), "units": units.size}
+    traverse, distinct = pd.factorize(errors["traverse"])
+    pairs = np.unique(of_group.number * len(distinct) + traverse)
+    traverses = np.bincount(pairs // max(len(distinct), 1))
+    columns: dict[str, npt.ArrayLike] = {"traverses": traverses, "units": units.size}
     reach = t_half_width(units.size)
     for suffix, kind in ERROR_SCALES.items():
         error = errors[kind].to_numpy(float)
@@ -347,10 +349,11 @@ def _compute_case_bounds(
     slopes = law.jacobian(rows, np.broadcast_to(solution.values[0], (len(rows), len(scales)))) * scales
     noise, step = variance[is_test], traverse_length(rows[is_test]) / np.exp(y[is_test])
     seconds = stepping_seconds(rows.iloc[candidate]) + handling_time
-    loss, prior = mean_variance_loss(slopes[is_test]), PRIOR_INFORMATION * np.eye(len(scales))
-    records = []
-    for count in range(len(scales), min(max_traverses, len(candidate)) + 1):
-        chosen = exchange_rows(slopes[candidate], count, loss, prior)
+    aim = mean_variance_loss(slopes[is_test]), PRIOR_INFORMATION * np.eye(len(scales))
+    most, offered, records = min(max_traverses, len(candidate)), slopes[candidate], []
+    added = add_rows(offered, most, *aim)
+    for count in range(len(scales), most + 1):
+        chosen = improve_design(offered, added[:count], *aim)
         design = candidate[chosen]
         square = noise + prediction_variance(slopes[is_test], slopes[design], variance[design])
         records.append(

@@ -12,6 +12,7 @@ from stickslip_fit import estimation as fit
 from stickslip_fit.bayes import fit_bayes
 from stickslip_fit.causes import library
 from stickslip_fit.errors import InputError
+from stickslip_fit.estimation.with_causes import FixedCauseLaw
 from stickslip_fit.logs import read_log
 from stickslip_fit.strategies import (
     ClosedForm,
@@ -27,6 +28,7 @@ from stickslip_fit.strategies import (
     default_strategies,
     other_sessions,
 )
+from stickslip_fit.strategies.base import LawFit, solve_law, solve_together
 from stickslip_fit.strategies.evaluation import evaluate_strategies, make_cases
 from tests.conftest import CALIBRATION, SWEEPS
 
@@ -112,6 +114,24 @@ def test_causes_fitted_to_other_sessions_take_their_effect_out(warm):
     for joint in (2, 3):
         assert rms[joint, plain.name] > 0.015
         assert rms[joint, f"{plain.name}, with causes"] < 0.005
+
+
+def test_fits_solved_together_are_those_solved_one_by_one(warm, monkeypatch):
+    """Of two joints, both directions, few and many traverses, with and without a cause of several sizes."""
+    cause = next(each for each in library() if each.name == "temperature")
+    causes, fits = (cause.bind(warm.usable, warm.machine),), []
+    for number, trial in enumerate(make_cases(warm, other_sessions)):
+        law, many = trial.task.law, trial.task.others
+        few = trial.rows.iloc[IOptimal().pick(trial.task, len(law.parameters) + 1)]
+        fits += [LawFit(law, few, 0.003), LawFit(law, many, 0.01)]
+        for rows, size in ((few, 0.002 * number), (many, -0.001 * number)):
+            fits.append(LawFit(FixedCauseLaw(law, causes, np.array([size])), rows, 0.003))
+    monkeypatch.setattr("stickslip_fit.estimation._optimize.MIN_ROWS", 0)  # slow fits go on alone
+    for one, found in zip(fits, solve_together(fits), strict=True):
+        alone = solve_law(one.law, one.measured.assign(session="one"), one.repeatability)
+        assert found.values == pytest.approx(alone.values[0], rel=1e-6)
+        assert found.covariance == pytest.approx(alone.covariance[0], rel=1e-5)
+        assert found.known.tolist() == alone.known[0].tolist()
 
 
 def test_a_session_has_no_part_in_the_causes_it_is_calibrated_with(warm, trials):
