@@ -52,6 +52,7 @@ STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])  # tau: hyperprior on the norm of 
 MAX_DETECTION_LENGTH = 60.0  # whitened norm
 MAX_EXPLAINED = 1.0 - 1e-12  # share of the squared residuals
 MIN_LOG_BAYES_FACTOR = 5.0  # nats for a structure to be subtracted before the bootstrap
+MIN_ADDED_LOG_EVIDENCE = 1.0  # nats for a version of a cause that has more parameters than another
 MAX_ROW_SHARE = 0.4  # of an effect's prior variance in one row
 MAX_ROW_LEVERAGE = 0.15  # of an effect in one row; above, its signs are too few for a bootstrap
 TAIL_DF = (5.0, 8.0, 15.0, 200.0)  # of Student t noise that is simulated
@@ -259,16 +260,21 @@ class Misfit:
     def best_hypothesis(self, cause: str) -> Hypothesis | AR1:
         """The likeliest shape of a cause; of all causes, if this one has no shape."""
         places = self._places.get(cause) or range(len(self.hypotheses))
-        return self.hypotheses[max(places, key=lambda k: self.log_evidence[k])]
+        return self.hypotheses[max(places, key=self._preference)]
 
     def best_subspace(self, cause: str) -> Hypothesis:
         """As `best_hypothesis`, autoregressions left out."""
         for places in (self._places.get(cause, ()), range(len(self.hypotheses))):
             if own := [k for k in places if isinstance(self.hypotheses[k], Hypothesis)]:
                 break
-        best = self.hypotheses[max(own, key=lambda k: self.log_evidence[k])]
+        best = self.hypotheses[max(own, key=self._preference)]
         assert isinstance(best, Hypothesis)
         return best
+
+    def _preference(self, place: int) -> float:
+        """Log evidence of a hypothesis, less that which a version that adds to a simpler one has to have."""
+        adds = getattr(self.hypotheses[place].version, "adds_to_simpler", False)
+        return float(self.log_evidence[place]) - MIN_ADDED_LOG_EVIDENCE * adds
 
     @cached_property
     def _places(self) -> dict[str, list[int]]:
