@@ -19,7 +19,7 @@ from scipy.special import digamma, polygamma, softmax, stdtrit
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
-from stickslip_fit.diagnosis.misfit import StructureRemoved
+from stickslip_fit.diagnosis.misfit import MAX_EXPLAINED, StructureRemoved
 from stickslip_fit.diagnosis.noise_shape import Skewness, fit_skewness
 from stickslip_fit.diagnosis.unevenness import (
     Unevenness,
@@ -362,6 +362,20 @@ def _without_echoes(linearized: LinearizedFit, rows: IntArray) -> IntArray:
             found.append(int(rows[k]))
         left -= best * (best @ left)
     return np.array(sorted(set(found)), dtype=np.intp)
+
+
+def explains_more(linearized: LinearizedFit, log_evidence: float) -> bool:
+    """Whether in autocorrelated noise one outlier is likelier than a structure of this log evidence.
+
+    An outlier there leaves traces in the rows after it, as the beginning of a structure does.
+    """
+    if linearized.noise_filter is None:
+        return False
+    traces, residual = linearized.noise_filter, linearized.residual
+    squares = np.asarray((traces**2).sum(axis=0)).ravel()
+    explained = float(np.max((traces.T @ residual) ** 2 / squares)) / float(residual @ residual)
+    log_ratio = -0.5 * linearized.df * float(np.log1p(-min(explained, MAX_EXPLAINED)))
+    return log_ratio - np.log(len(linearized)) > log_evidence
 
 
 def _unit_columns(columns: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import lfilter
 
 import stickslip_fit as ssf
 from stickslip_fit.diagnosis.extension import OUTLIER_ALPHA_SHARE
@@ -94,3 +95,13 @@ def test_the_two_outliers_of_newcombs_times_of_light_are_named_and_one_in_few_ro
         found = ssf.diagnose_table(frame, law, time="order", gain=False)
         assert [one.cause for one in found.findings] == ["outliers"]
         assert found.selection.outliers.tolist() == rows
+
+
+def test_in_noise_that_persists_an_outlier_is_no_change_that_lasts():
+    """The rows after it, less what it foretells, are as far off as those after such a change."""
+    noise = lfilter([1.0], [1.0, -0.9], 0.1 * np.random.default_rng(11).standard_normal(400))[100:]
+    seconds = np.arange(300.0)
+    y = 20.0 + noise + (seconds >= 180.0) + 2.0 * (seconds == 60.0)
+    found = ssf.diagnose_table(pd.DataFrame({"t": seconds, "y": y}), "y ~ mean", time="t", gain=False)
+    assert found.findings[0].cause == "outliers"
+    assert found.selection.outliers.tolist() == [60]
