@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import pandas as pd
@@ -109,6 +109,7 @@ class LevelCause(CovariateCause):
     base_phrase = "the response is not the same at all values of a column"
     physics = "Whatever differs between them; the table alone shows that the response is not the same."
     shows_best = "one condition at every value of the column"
+    adds_to_simpler: ClassVar[bool] = False  # whether a version with fewer parameters does nearly the same
 
     @property
     def remedy(self) -> str:  # type: ignore[override]
@@ -264,6 +265,8 @@ class LevelDependence(LevelCause, AddedTerm):
 @dataclass(frozen=True, kw_only=True)
 class ParametersByLevel(LevelCause):
     """The law's parameters are not the same at all values of a column of labels."""
+
+    adds_to_simpler: ClassVar[bool] = True  # to offsets
 
     @property
     def sentence(self) -> str:  # type: ignore[override]

@@ -33,6 +33,7 @@ from stickslip_fit.causes.levels import (
 )
 from stickslip_fit.causes.periodic import PeriodicPosition
 from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, direction_labels
+from stickslip_fit.causes.zeros import zero_causes
 
 MAX_SESSIONS = 50  # that may each have an offset of their own
 
@@ -70,6 +71,7 @@ def generic_causes(rows: pd.DataFrame, law: Any, roles: TableRoles) -> tuple[Gen
     sessions = tuple(map(str, rows["session"].unique()))
     if law.n_shared and 1 < len(sessions) <= MAX_SESSIONS:
         causes.append(SessionOffset(unit=unit, size=size, sessions=sessions))
+    causes += zero_causes(rows, law, y, unit, size)
     if roles.direction:
         labels = direction_labels(rows[roles.direction])
         opposite = partial(replace, direction=roles.direction, labels=labels)

@@ -245,8 +245,9 @@ def _alternatives(diagnosis: Diagnosis) -> list[str]:
         f"Whatever {first} would do in this {diagnosis.info.data}, {second} could have done too."
         for first, second in diagnosis.aliased_causes
     ]
-    inseparable = find_inseparable_pairs(diagnosis.findings, diagnosis.next_experiment)
-    sentences += [f"No traverse within reach separates {one} from {other}." for one, other in inseparable]
+    if diagnosis.table is None:  # of a table the headline says what would separate them
+        inseparable = find_inseparable_pairs(diagnosis.findings, diagnosis.next_experiment)
+        sentences += [f"No traverse within reach separates {one} from {other}." for one, other in inseparable]
     return [*sentences, *describe_proposals(diagnosis.findings, diagnosis.info.data)]
 
 

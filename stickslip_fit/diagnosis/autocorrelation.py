@@ -17,10 +17,8 @@ noise: the poles are drawn in until it does not.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -28,17 +26,19 @@ from scipy.special import ndtri
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.restricted_likelihood import (
+    RestrictedLikelihood,
+    filter_tables,
+    order_samples,
+)
 
 MAX_ORDER, ROWS_PER_ORDER = 10, 25  # rows with a predecessor for each coefficient
 SWING_ORDER = 2  # of noise that swings, which few rows are to tell from a strict period, too
 MAX_WITHOUT_GAIN = 2  # orders in a row that do not lower the criterion, after which none is tried
 MAX_SHARE_OF_SEQUENCE = 0.4  # over which noise persists
-# Of a partial autocorrelation; beyond the first, the noise has no variance to speak of.
-LARGEST_PARTIALS = (0.998, 0.99, 0.97, 0.9, 0.8, 0.5)
 MAX_SHOCKS, MAX_SHOCK_ROWS, MIN_SHOCK_SD = 6, 10, 5.0  # outliers and lasting changes, beside the noise
 LEAST_SWING, SHORTEST_SWING = 0.15, 4.0  # of an oscillation after a period; rows
 MEDIAN_OF_NORMAL = float(ndtri(0.75))  # of the absolute values of standard normal noise
-GRADIENT_STEP = 1e-4
 SPAN_TOL, MIN_LENGTH = 1e-6, 1e-300  # of the largest singular value; of a column
 SPACING_TOL = 0.25  # of the interval between samples
 MIN_REGULAR = 0.8  # share of the rows that follow the one before at the usual interval
@@ -207,9 +207,7 @@ class FilterPattern:
     @classmethod
     def of(cls, sample: IntArray, order: int) -> FilterPattern:
         """For samples of these numbers."""
-        by_number = np.argsort(sample, kind="stable")
-        starts = np.flatnonzero(np.diff(sample[by_number], prepend=sample.min() - 2) != 1)
-        place = np.arange(len(sample)) - np.repeat(starts, np.diff(starts, append=len(sample)))
+        by_number, place = order_samples(sample)
         depth = np.empty(len(sample), dtype=np.intp)
         depth[by_number] = np.minimum(place, order)
         position = np.empty(len(sample), dtype=np.intp)
@@ -220,11 +218,7 @@ class FilterPattern:
 
     def fill(self, partial: Array) -> csr_array:
         """The filter for these partial autocorrelations, shape (p,)."""
-        error_sd = np.sqrt(np.cumprod(np.append(1.0, 1.0 - partial**2)))
-        table = np.zeros((self.order + 1, self.order + 1))
-        for depth, row in enumerate(predictors(partial)):
-            table[depth, : depth + 1] = np.append(1.0, -row) / error_sd[depth]
-        n = len(self.depth)
+        table, n = filter_tables(partial[None])[0], len(self.depth)
         return csr_array((table.ravel()[self._places], self.indices, self.indptr), shape=(n, n))
 
     @cached_property
@@ -252,7 +246,7 @@ def estimate_autoregression(linearized: LinearizedFit, effects: Array, sample: I
     """
     linked = int(np.sum(FilterPattern.of(sample, 1).depth))
     border = np.concatenate([linearized.shared_basis, spanning(effects)], axis=1)
-    likelihood = _RestrictedLikelihood(linearized, border, sample)
+    likelihood = RestrictedLikelihood(linearized, border, sample)
     best, found = likelihood.criterion(np.zeros(0)), np.zeros(0)
     start, without_gain = np.zeros(0), 0
     for _ in range(min(MAX_ORDER, max(linked // ROWS_PER_ORDER, SWING_ORDER))):
@@ -302,81 +296,6 @@ def spanning(columns: Array) -> Array:
         return columns / length if length > MIN_LENGTH else columns[:, :0]
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return left[:, singular > SPAN_TOL * max(float(singular.max(initial=0.0)), MIN_LENGTH)]
-
-
-class _RestrictedLikelihood:
-    """Of an autoregression about a mean linear in blocks' own parameters and in those of a border."""
-
-    def __init__(self, linearized: LinearizedFit, border: Array, sample: IntArray) -> None:
-        self.sample, blocks = sample, linearized.blocks
-        widths = np.array([basis.shape[1] for _, basis in blocks], dtype=np.intp)
-        longest = max((len(rows) for rows, _ in blocks), default=0)
-        own = np.zeros((len(sample), max(widths, default=0)))
-        # Blocks side by side: a shorter one is filled up with a row of zeros, the last one.
-        self.rows = np.full((len(blocks), longest), len(sample))
-        for k, (rows, basis) in enumerate(blocks):
-            own[rows, : basis.shape[1]] = basis
-            self.rows[k, : len(rows)] = rows
-        self.own_width = own.shape[1]
-        absent = np.arange(self.own_width) >= widths[:, None]
-        self.filled_up = absent[:, None, :] * np.eye(self.own_width)
-        self.columns = np.concatenate([own, border, linearized.residual[:, None]], axis=1)
-        self.df = len(sample) - int(widths.sum()) - border.shape[1]
-        self.patterns: dict[int, FilterPattern] = {}
-
-    def criterion(self, partial: Array) -> float:
-        """Bayesian information criterion, over -2."""
-        return self.negative_log(partial) + 0.5 * len(partial) * float(np.log(max(self.df, 2)))
-
-    def maximize(self, start: Array) -> Array:
-        """Partial autocorrelations of the highest likelihood."""
-        from scipy.optimize import minimize
-
-        options: Any = {"maxiter": 30, "ftol": 1e-6, "eps": GRADIENT_STEP}
-
-        def of_transformed(z: Array) -> float:
-            return self.negative_log(np.tanh(z))
-
-        # So close to unit roots that nothing of a parameter is left there is no likelihood.
-        for largest in LARGEST_PARTIALS:
-            limit, first = float(np.arctanh(largest)), np.arctanh(np.clip(start, -largest, largest))
-            with suppress(np.linalg.LinAlgError):
-                result = minimize(
-                    of_transformed,
-                    first,
-                    method="L-BFGS-B",
-                    bounds=[(-limit, limit)] * len(start),
-                    options=options,
-                )
-                return np.asarray(np.tanh(result.x))
-        return start
-
-    def negative_log(self, partial: Array) -> float:
-        """Negative log likelihood, the noise's variance maximized out, but for a constant."""
-        if len(partial) not in self.patterns:
-            self.patterns[len(partial)] = FilterPattern.of(self.sample, len(partial))
-        pattern = self.patterns[len(partial)]
-        filtered = np.asarray(pattern.fill(partial) @ self.columns)
-        columns, log_determinant = filtered[:, self.own_width :], 0.0
-        left = columns.T @ columns
-        if self.own_width:
-            padded = np.concatenate([filtered, np.zeros((1, filtered.shape[1]))])[self.rows]
-            products = padded[:, :, : self.own_width].transpose(0, 2, 1) @ padded
-            lower = np.linalg.cholesky(products[:, :, : self.own_width] + self.filled_up)
-            across = np.linalg.solve(lower, products[:, :, self.own_width :]).reshape(-1, len(left))
-            left -= across.T @ across
-            diagonals = np.diagonal(lower, axis1=1, axis2=2)
-            log_determinant += 2.0 * float(np.log(diagonals).sum())
-        if len(left) > 1:
-            lower = np.linalg.cholesky(left[:-1, :-1])
-            across = np.linalg.solve(lower, left[:-1, -1])
-            log_determinant += 2.0 * float(np.log(np.diagonal(lower)).sum())
-            squares = float(left[-1, -1] - across @ across)
-        else:
-            squares = float(left[-1, -1])
-        return (
-            0.5 * self.df * float(np.log(squares)) - pattern.log_determinant(partial) + 0.5 * log_determinant
-        )
 
 
 def number_samples(seconds: Array, session: IntArray) -> IntArray | None:

@@ -16,6 +16,7 @@ import pandas as pd
 
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes.table_cause import ExtendedTableLaw
 from stickslip_fit.diagnosis.autocorrelation import variance_over_innovations
 from stickslip_fit.diagnosis.cross_validation import (
     Selector,
@@ -159,7 +160,8 @@ def estimate_gain(
         rms, rng = np.sqrt(np.mean(errors**2, axis=1)), np.random.default_rng([seed, 1])
         campaign = _linearize_campaign(selection, extending, alpha)
         campaign = replace(campaign, recolour=recolour)
-        limits = simulate_gain_interval(campaign, splits, rms, rng)
+        beyond = [_slopes_beyond(selection, extending, split) for split in splits]
+        limits = simulate_gain_interval(campaign, splits, rms, rng, beyond=beyond)
     else:
         errors, limits = _baseline_errors(selection, splits, recolour)[None], np.zeros((2, 1))
     steps = np.cumsum([0, *(finding.version is not None for finding in findings)])
@@ -330,6 +332,28 @@ def _linearize_campaign(
             for one, effect in zip(selected, linearized.project(effects).T, strict=True)
         ),
     )
+
+
+def _slopes_beyond(selection: Selection, findings: Sequence[Finding], split: Split) -> Array:
+    """What slopes of causes are less in held-out rows, beyond what the training rows show; shape (h, q).
+
+    In units of each row's noise. A row far out in a column would else be predicted by a curve that bends
+    away from all others, which `compute_table_errors` does not do either.
+    """
+    problem, shared = selection.problem, len(selection.fit.values)
+    less, training = (
+        np.zeros((len(problem), shared)),
+        problem.rows.drop(index=problem.rows.index[split.held_out]),
+    )
+    for part in selection.fit.parts:
+        inside = np.isin(part.rows, split.held_out)
+        if inside.any() and isinstance(part.law, ExtendedTableLaw):
+            rows, values = problem.rows.iloc[part.rows[inside]], part.values[inside]
+            change = part.law.jacobian(rows, values) - part.law.fitted_to(training).jacobian(rows, values)
+            less[part.rows[inside]] = change[:, -shared:]
+    places = [selection.place_of(selection.behind(finding).version) for finding in findings]
+    own = np.concatenate([np.arange(shared)[place] for place in places])
+    return less[np.ix_(split.held_out, own)] / problem.scale[split.held_out, None]
 
 
 def _collect_competitors(selected: SelectedCause, effect: Array, df: int) -> CompetingCauses:

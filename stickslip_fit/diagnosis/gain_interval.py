@@ -111,6 +111,12 @@ class LinearizedCampaign:
             first = last
         return tuple(places)
 
+    def spread_slopes(self, slopes: Array) -> Array:
+        """Slopes of all causes, shape (h, q), where they stand in `columns`, and zeros, shape (h, c)."""
+        spread = np.zeros((len(slopes), self.columns.shape[1]))
+        spread[:, np.concatenate([np.r_[own] for _, own in self.places])] = slopes
+        return spread
+
     @cached_property
     def _whole(self) -> CalibrationOperator:
         every = np.arange(len(self.scale))
@@ -289,6 +295,7 @@ def simulate_gain_interval(
     observed: Array,
     rng: np.random.Generator,
     n_draws: int = N_DRAWS,
+    beyond: Sequence[Array] | None = None,
 ) -> Array:
     """Interval of the gain that a replicate of the campaign would show.
 
@@ -301,6 +308,9 @@ def simulate_gain_interval(
         Held-out rms error of the baseline, with the first cause, with the first two, and so on.
     rng : Generator
     n_draws : int, optional
+    beyond : sequence of array, each shape (h, q), optional
+        Of each split, what `slopes` of all causes are less in its held-out rows, recoloured, since the causes
+        are constant beyond what training rows show.
 
     Returns
     -------
@@ -309,6 +319,11 @@ def simulate_gain_interval(
     """
     lengths = campaign.effect_lengths(Responses.of(campaign, campaign.effects)).diagonal()
     prepared = [prepare_split(campaign.basis, split, campaign.recolour) for split in splits]
+    if beyond is not None:
+        prepared = [
+            replace(one, beyond=campaign.spread_slopes(own))
+            for one, own in zip(prepared, beyond, strict=True)
+        ]
     first, second = _simulate_replicate_pairs(campaign, prepared, lengths, n_draws, rng)
     steps = [(k, k + 1) for k in range(len(observed) - 1)] + [(0, len(observed) - 1)]
     limits = []
@@ -386,7 +401,11 @@ def _simulate_replicates(
             for step in range(1, k + 1):
                 place, penalties = _extension_columns(campaign, result[:step])
                 added = predict_extension(
-                    operators, campaign.columns[:, place], penalties, sums.products[np.ix_(place, logs)]
+                    operators,
+                    campaign.columns[:, place],
+                    penalties,
+                    sums.products[np.ix_(place, logs)],
+                    None if operators.beyond is None else operators.beyond[:, place],
                 )
                 squares[logs, step] += np.sum(((plain[:, logs] - added) * scale) ** 2, axis=0)
         count += len(held_out)
@@ -439,10 +458,14 @@ def _extension_columns(campaign: LinearizedCampaign, result: IntArray) -> tuple[
 
 @dataclass(frozen=True, eq=False)
 class SplitOperators:
-    """The calibrations of a split: of the training rows by themselves, and of the held-out rows."""
+    """The calibrations of a split: of the training rows by themselves, and of the held-out rows.
+
+    `beyond`, shape (h, c), is what columns are less in the held-out rows than the campaign has them.
+    """
 
     training: CalibrationOperator
     prediction: CalibrationOperator
+    beyond: Array | None = None
 
 
 def prepare_split(basis: csr_array, split: Split, recolour: Recolouring = keep_columns) -> SplitOperators:
@@ -454,7 +477,13 @@ def prepare_split(basis: csr_array, split: Split, recolour: Recolouring = keep_c
     return SplitOperators(training, prepare_calibration(basis, split.calibration, split.held_out, recolour))
 
 
-def predict_extension(operators: SplitOperators, columns: Array, penalties: Array, products: Array) -> Array:
+def predict_extension(
+    operators: SplitOperators,
+    columns: Array,
+    penalties: Array,
+    products: Array,
+    beyond: Array | None = None,
+) -> Array:
     """What causes sized by the training rows add to the held-out rows' prediction, whitened.
 
     Parameters
@@ -466,6 +495,8 @@ def predict_extension(operators: SplitOperators, columns: Array, penalties: Arra
         As of `LinearizedCampaign`.
     products : array, shape (q, m)
         Of the directions with the responses, as of `TrainingSums`.
+    beyond : array, shape (number held out, q), optional
+        What the directions are less in the held-out rows.
 
     Returns
     -------
@@ -476,4 +507,5 @@ def predict_extension(operators: SplitOperators, columns: Array, penalties: Arra
     _, singular, right = np.linalg.svd(penalised, full_matrices=False)
     kept = singular > RANK_TOL * singular.max(initial=0.0)
     scaled = right[kept] / singular[kept, None]
-    return operators.prediction.subtract(columns) @ (scaled.T @ (scaled @ products))
+    held_out = operators.prediction.subtract(columns)
+    return (held_out if beyond is None else held_out - beyond) @ (scaled.T @ (scaled @ products))

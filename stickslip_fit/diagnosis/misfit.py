@@ -52,6 +52,8 @@ STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])  # tau: hyperprior on the norm of 
 MAX_DETECTION_LENGTH = 60.0  # whitened norm
 MAX_EXPLAINED = 1.0 - 1e-12  # share of the squared residuals
 MIN_LOG_BAYES_FACTOR = 5.0  # nats for a structure to be subtracted before the bootstrap
+# Nats for a version of a cause that adds parameters to another: of its evidence, or of a criterion.
+MIN_ADDED_LOG_EVIDENCE, MIN_CRITERION_GAIN = 2.0, 1.0
 MAX_ROW_SHARE = 0.4  # of an effect's prior variance in one row
 MAX_ROW_LEVERAGE = 0.15  # of an effect in one row; above, its signs are too few for a bootstrap
 TAIL_DF = (5.0, 8.0, 15.0, 200.0)  # of Student t noise that is simulated
@@ -259,16 +261,38 @@ class Misfit:
     def best_hypothesis(self, cause: str) -> Hypothesis | AR1:
         """The likeliest shape of a cause; of all causes, if this one has no shape."""
         places = self._places.get(cause) or range(len(self.hypotheses))
-        return self.hypotheses[max(places, key=lambda k: self.log_evidence[k])]
+        return self.hypotheses[self._choose(places)]
 
     def best_subspace(self, cause: str) -> Hypothesis:
         """As `best_hypothesis`, autoregressions left out."""
         for places in (self._places.get(cause, ()), range(len(self.hypotheses))):
             if own := [k for k in places if isinstance(self.hypotheses[k], Hypothesis)]:
                 break
-        best = self.hypotheses[max(own, key=lambda k: self.log_evidence[k])]
+        best = self.hypotheses[self._choose(own)]
         assert isinstance(best, Hypothesis)
         return best
+
+    def _choose(self, places: Sequence[int]) -> int:
+        """The likeliest hypothesis, or the simpler one that it adds parameters to, for no clear reason.
+
+        Clear is so much more evidence, or a Bayesian information criterion that is better with them.
+        """
+        best = max(places, key=lambda k: self.log_evidence[k])
+        simpler = [k for k in places if not _adds_to_simpler(self.hypotheses[k])]
+        if not _adds_to_simpler(self.hypotheses[best]) or not simpler:
+            return best
+        simple = max(simpler, key=lambda k: self.log_evidence[k])
+        more = self.log_evidence[best] - self.log_evidence[simple]
+        lower = self._criterion(best) - self._criterion(simple)
+        return best if more > MIN_ADDED_LOG_EVIDENCE or lower > MIN_CRITERION_GAIN else simple
+
+    def _criterion(self, place: int) -> float:
+        """Bayesian information criterion of a hypothesis, over -2, in which nothing is shrunk."""
+        shape, n = self.hypotheses[place], len(self.residual)
+        assert isinstance(shape, Hypothesis)
+        explained = float(np.sum(shape.coefficients(self.residual) ** 2) / (self.residual @ self.residual))
+        price = 0.5 * len(shape.prior_share) * np.log(n)
+        return float(-0.5 * n * np.log1p(-min(explained, MAX_EXPLAINED)) - price)
 
     @cached_property
     def _places(self) -> dict[str, list[int]]:
@@ -286,6 +310,11 @@ class Misfit:
 def classify_cause(hypothesis: Hypothesis | AR1) -> str:
     """The cause, or ``unknown`` for any unstructured alternative."""
     return UNKNOWN if hypothesis.cause.startswith(f"{UNKNOWN}:") else hypothesis.cause
+
+
+def _adds_to_simpler(hypothesis: Hypothesis | AR1) -> bool:
+    """Whether another version of the same cause has fewer parameters."""
+    return bool(getattr(hypothesis.version, "adds_to_simpler", False))
 
 
 def drop_single_rows(hypotheses: Sequence[Hypothesis | AR1]) -> list[Hypothesis | AR1]:
@@ -322,7 +351,7 @@ def compute_misfit(
     Biometrika 78:301, 1991). `p_value_factor` is that of `Misfit`. Noise that is `skewed`, or rounded by a
     `quantization`, is simulated as such.
     """
-    if not hypotheses:
+    if not hypotheses or linearized.df < 1:  # a law with as many parameters as rows fits anything
         return Misfit(
             linearized.residual, (), np.zeros(0), {}, 1.0, np.zeros(0), p_value_factor, linearized.basis
         )

@@ -3,8 +3,8 @@
 All three are estimated from residuals without their best-fitting structure. Repeatability is a standard
 deviation for each joint and direction. Configurations with larger noise follow from a two-component
 mixture with empirical-Bayes weights (H. Robbins, Proc. Third Berkeley Symp. 1:157, 1956). Outliers are
-tested by a likelihood ratio against noise alone, maximized over the tail weights that the bulk of the
-residuals allows (R. L. Berger and D. D. Boos, J. Am. Stat. Assoc. 89:1012, 1994). How uncertain these
+tested by a likelihood ratio against noise alone, the p-value averaged over the tails that noise may have, as
+likely as the bulk of the residuals makes them (X.-L. Meng, Ann. Stat. 22:1142, 1994). How uncertain these
 estimates are shows in the expected variance of each response (G. K. Smyth, Stat. Appl. Genet. Mol. Biol.
 3:3, 2004, for the standard deviations).
 """
@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.special import chdtrc, digamma, polygamma, stdtrit
+from scipy.special import digamma, polygamma, softmax, stdtrit
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
-from stickslip_fit.diagnosis.misfit import StructureRemoved
+from stickslip_fit.diagnosis.misfit import MAX_EXPLAINED, StructureRemoved
 from stickslip_fit.diagnosis.noise_shape import Skewness, fit_skewness
 from stickslip_fit.diagnosis.unevenness import (
     Unevenness,
@@ -48,8 +48,8 @@ MIN_UNEVEN_LOG_ODDS = 3.0  # nats over structure, where residuals show either
 CLEAR_MEAN = 3.0  # standard errors of a mean that is no noise
 # Outliers
 TAIL_DF = (5.0, 8.0, 15.0, 200.0)  # of Student t noise
-MAX_TAIL_LOG_RATIO = 6.0  # nats below the best, for a df to be allowed
-TAIL_ERROR_RATE = float(chdtrc(1, 2 * MAX_TAIL_LOG_RATIO))  # probability that the true df is not
+TAIL_PRIOR = dict(zip(TAIL_DF, (0.5, 0.25, 0.15, 0.1), strict=True))  # heavy tails are the rule
+MIN_TAIL_PROBABILITY = 1e-4  # of a df; noise of a less likely one is not simulated
 MAX_EXCEEDANCES, BATCH_SIZE = 40, 500  # simulated logs above the statistic, after which none is added
 SCALE_GRID = (0.9, 1.0, 1.1)  # of the standard deviation by the median
 MIN_OUTLIER_MEDIANS, MAX_OUTLIER_MEDIANS = (
@@ -306,9 +306,13 @@ def find_outliers(
         rows = _without_echoes(linearized, rows)
         if not len(rows):
             return Outliers(rows, 1.0)
-    allowed = [df for df, fit in by_tail.items() if fit[0] > max(by_tail.values())[0] - MAX_TAIL_LOG_RATIO]
-    p_value = max(test.p_value(float(ratio[0]), df, n_simulations, rng) for df in allowed)
-    return Outliers(rows, min(1.0, p_value + (TAIL_ERROR_RATE if len(allowed) < len(TAIL_DF) else 0.0)))
+    probability = softmax([np.log(TAIL_PRIOR[df]) + float(fit[0]) for df, fit in by_tail.items()])
+    p_value = sum(
+        share
+        * (test.p_value(float(ratio[0]), df, n_simulations, rng) if share > MIN_TAIL_PROBABILITY else 1.0)
+        for df, share in zip(by_tail, probability, strict=True)
+    )
+    return Outliers(rows, float(p_value))
 
 
 def find_runs(rows: IntArray, columns: Array, residuals: Array) -> BoolArray:
@@ -358,6 +362,20 @@ def _without_echoes(linearized: LinearizedFit, rows: IntArray) -> IntArray:
             found.append(int(rows[k]))
         left -= best * (best @ left)
     return np.array(sorted(set(found)), dtype=np.intp)
+
+
+def explains_more(linearized: LinearizedFit, log_evidence: float) -> bool:
+    """Whether in autocorrelated noise one outlier is likelier than a structure of this log evidence.
+
+    An outlier there leaves traces in the rows after it, as the beginning of a structure does.
+    """
+    if linearized.noise_filter is None:
+        return False
+    traces, residual = linearized.noise_filter, linearized.residual
+    squares = np.asarray((traces**2).sum(axis=0)).ravel()
+    explained = float(np.max((traces.T @ residual) ** 2 / squares)) / float(residual @ residual)
+    log_ratio = -0.5 * linearized.df * float(np.log1p(-min(explained, MAX_EXPLAINED)))
+    return log_ratio - np.log(len(linearized)) > log_evidence
 
 
 def _unit_columns(columns: Array) -> Array:

@@ -49,8 +49,8 @@ from stickslip_fit.diagnosis.hypotheses import (
 )
 from stickslip_fit.diagnosis.influence import OUTLYING_SD, assess_support
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
-from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, remove_structure
-from stickslip_fit.diagnosis.noise import find_outliers, find_runs
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, remove_structure
+from stickslip_fit.diagnosis.noise import explains_more, find_outliers, find_runs
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
 
@@ -307,6 +307,8 @@ def _reestimate_noise(
             effects += finer
             misfit = add_candidates(misfit, linearized, finer)
         left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
+        if explains_more(linearized, left.log_evidence):
+            left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
         noise = problem.estimate_noise(linearized, left)
         problem = problem.with_noise(noise)
         if np.all(noise.unevenness.ratio == 1.0):

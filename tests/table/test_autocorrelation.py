@@ -15,6 +15,7 @@ from stickslip_fit.diagnosis.autocorrelation import (
     partial_autocorrelations,
     predictors,
 )
+from stickslip_fit.diagnosis.restricted_likelihood import RestrictedLikelihood
 from stickslip_fit.diagnosis.table import problem_from_table
 from tests.table.signals import LAW, RESONANCE, ROLES, correlation, signal
 
@@ -69,6 +70,26 @@ def test_the_estimate_maximizes_the_restricted_likelihood():
     assert found == pytest.approx(
         grid[np.argmax([restricted_likelihood(rows, phi) for phi in grid])], abs=0.003
     )
+
+
+def test_the_likelihood_and_its_slopes_are_those_of_the_covariance():
+    """Of order 3, in two sessions with gaps, by the filter and by numerical derivatives."""
+    rows = signal(np.random.default_rng(5), "0.9", 2, 50).drop(index=[3, 20, 21, 60])
+    problem, _ = problem_from_table(rows, LAW, roles=TableRoles(**SHARED), generic_causes=())
+    linearized, sample = problem.linearize(), problem.autocorrelation.sample
+    border = linearized.project(np.column_stack([rows["temp"], rows["t"] ** 2]))
+    likelihood, partial = RestrictedLikelihood(linearized, border, sample), np.array([0.8, -0.3, 0.2])
+    filtered = FilterPattern.of(sample, 3).fill(partial).toarray()
+    mean = filtered @ np.column_stack([linearized.basis.toarray(), border])
+    left = filtered @ linearized.residual
+    left -= mean @ np.linalg.lstsq(mean, left, rcond=None)[0]
+    expected = 0.5 * (len(left) - mean.shape[1]) * np.log(left @ left)
+    expected += 0.5 * np.linalg.slogdet(mean.T @ mean)[1] - np.linalg.slogdet(filtered)[1]
+    value, slopes = likelihood.differentiate(partial)
+    assert value == pytest.approx(expected, rel=1e-10)
+    for slope, step in zip(slopes, 1e-5 * np.eye(3), strict=True):
+        ahead, behind = (likelihood.negative_log(partial + sign * step) for sign in (1.0, -1.0))
+        assert slope == pytest.approx((ahead - behind) / 2e-5, abs=1e-4)
 
 
 def test_short_sessions_do_not_make_the_autocorrelation_too_small():

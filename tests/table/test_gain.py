@@ -167,3 +167,24 @@ def test_an_extended_law_is_constant_beyond_the_rows_that_it_was_fitted_to():
     within = law.fitted_to(frame[:40]).predict(frame, values)
     np.testing.assert_allclose(within[:40], law.predict(frame, values)[:40])
     assert within[40] == within[0]
+
+
+def test_a_row_far_out_in_a_column_withdraws_nothing():
+    """Held out, it is predicted by what the others show, in the interval of the gain, too."""
+    rng = np.random.default_rng(4)
+    frame = pd.DataFrame({"x": rng.uniform(0.0, 10.0, 150), "z": rng.uniform(0.0, 1.0, 150)})
+    frame.loc[20, "z"] = -3.0
+    effect = np.tanh(6.0 * (frame["z"] - 0.5))
+    frame["y"] = 2.0 + 0.3 * frame["x"] + effect + 0.3 * rng.standard_normal(150)
+    diagnosis = ssf.diagnose_table(frame, "y ~ a + b*x")
+    assert [one.cause for one in diagnosis.findings] == ["covariate:z"]
+    assert diagnosis.gain.low > 0
+
+
+def test_rows_that_few_parameters_explain_end_the_search():
+    """Yearly calls in Belgium, 1950 to 1973, some of them counted in minutes (Rousseeuw and Leroy 1987)."""
+    calls = [0.44, 0.47, 0.47, 0.59, 0.66, 0.73, 0.81, 0.88, 1.06, 1.2, 1.35, 1.49, 1.61, 2.12, 11.9, 12.4]
+    calls += [14.2, 15.9, 18.2, 21.2, 4.3, 2.4, 2.7, 2.9]
+    frame = pd.DataFrame({"year": 1950.0 + np.arange(24), "calls": calls})
+    law = ssf.Law("calls ~ a + b*year", units={"year": "years"})
+    assert ssf.diagnose_table(frame, law, time="year").findings

@@ -54,6 +54,22 @@ def test_offsets_are_those_of_the_analysis_of_covariance():
     np.testing.assert_allclose(bars.lines[0].get_ydata(), means[frame["who"].cat.categories], atol=1e-3)
 
 
+def test_other_parameters_are_said_only_where_an_interaction_is_clear():
+    """Beside the p-value of an analysis of covariance; in five of these both are about as likely."""
+    found = []
+    for seed, offset, slope in [(k, 0.4, 0.08) for k in (3, 5, 7, 8, 11)] + [
+        (k, 0.8, 0.15) for k in (4, 6, 7)
+    ]:
+        rng = np.random.default_rng(seed)
+        x, who = rng.uniform(0.0, 10.0, 40), np.repeat(["Ada", "Ben"], 20)
+        other = (who == "Ben") * (offset + slope * (x - 5.0))
+        frame = pd.DataFrame({"x": x, "who": who, "y": 0.5 * x + other + 0.3 * rng.standard_normal(40)})
+        (finding,) = ssf.diagnose_table(frame, LINE, gain=False).findings
+        p_value = smf.ols("y ~ x * who", frame).fit().pvalues.iloc[-1]
+        found.append((type(finding.version).__name__, bool(p_value < 0.03)))
+    assert set(found) == {("LevelDependence", False), ("ParametersByLevel", True)}
+
+
 def test_a_finding_that_no_column_carries_is_drawn_over_its_own_effect():
     """A product of two columns: what is left without the term rises along it with slope 1."""
     rng = np.random.default_rng(4)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import lfilter
 
 import stickslip_fit as ssf
 from stickslip_fit.diagnosis.extension import OUTLIER_ALPHA_SHARE
@@ -53,7 +54,7 @@ def test_how_rare_a_value_far_off_is_is_told(off, rare):
     rng = np.random.default_rng(0)
     frame = pd.DataFrame({"x": rng.normal(27.0, 5.0, 66).round()})
     frame.loc[[1, 53], "x"] = off
-    found = ssf.diagnose_table(frame, "x ~ a", time="order", gain=False)
+    found = ssf.diagnose_table(frame, "x ~ a", time="order", alpha=0.001, gain=False)
     assert found.verdict == "nothing wrong"
     text = " ".join(found.summary().headline)
     left = np.abs(frame["x"] - frame["x"].mean())
@@ -80,3 +81,27 @@ def test_a_run_at_the_end_of_a_column_is_a_curve_and_scattered_values_are_outlie
         [("outliers", "")],
     ]
     assert len(found[1].findings[0].traverses) == 3
+
+
+def test_the_two_outliers_of_newcombs_times_of_light_are_named_and_one_in_few_rows_is():
+    """66 times, two of them far off (S. M. Stigler, Ann. Stat. 5:1055, 1977); of 25 rows one, by 10 sigma."""
+    rng = np.random.default_rng(0)
+    times = pd.DataFrame({"x": rng.normal(27.0, 5.0, 66).round()})
+    times.loc[[1, 53], "x"] = -44.0, -2.0
+    line = pd.DataFrame({"x": np.linspace(0.0, 10.0, 25)})
+    line["y"] = 1.0 + 2.0 * line["x"] + 0.2 * np.random.default_rng(9).standard_normal(25)
+    line.loc[17, "y"] += 2.0
+    for frame, law, rows in ((times, "x ~ a", [1, 53]), (line, "y ~ a + b*x", [17])):
+        found = ssf.diagnose_table(frame, law, time="order", gain=False)
+        assert [one.cause for one in found.findings] == ["outliers"]
+        assert found.selection.outliers.tolist() == rows
+
+
+def test_in_noise_that_persists_an_outlier_is_no_change_that_lasts():
+    """The rows after it, less what it foretells, are as far off as those after such a change."""
+    noise = lfilter([1.0], [1.0, -0.9], 0.1 * np.random.default_rng(11).standard_normal(400))[100:]
+    seconds = np.arange(300.0)
+    y = 20.0 + noise + (seconds >= 180.0) + 2.0 * (seconds == 60.0)
+    found = ssf.diagnose_table(pd.DataFrame({"t": seconds, "y": y}), "y ~ mean", time="t", gain=False)
+    assert found.findings[0].cause == "outliers"
+    assert found.selection.outliers.tolist() == [60]

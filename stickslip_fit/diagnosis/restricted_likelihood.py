@@ -1,0 +1,238 @@
+"""Restricted likelihood of an autoregression about a linear mean, from sums of products of lagged rows.
+
+The prediction-error filter is a polynomial in shifts by one row, so that products of filtered columns are
+sums of products of lagged columns, each times two of the filter's coefficients (J. Durbin, Rev. Int. Stat.
+Inst. 28:233, 1960). These sums are computed once for each order, from those of the order before; after that
+neither the likelihood nor its gradient depends on the number of rows.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.diagnosis.linearized import LinearizedFit
+
+# Of a partial autocorrelation; beyond the first, the noise has no variance to speak of.
+LARGEST_PARTIALS = (0.998, 0.99, 0.97, 0.9, 0.8, 0.5)
+MAX_ITERATIONS, LIKELIHOOD_TOL = 30, 1e-6
+WEIGHT_STEP = 1e-6  # of a partial autocorrelation, for derivatives of the filter's coefficients
+MIN_LEFT = 1e-11  # of the products whose differences are the squares of filtered residuals; less is rounding
+
+
+def order_samples(sample: IntArray) -> tuple[IntArray, IntArray]:
+    """Rows in order of their numbers, and how many stand before each of these in its sequence; (n,) each."""
+    by_number = np.argsort(sample, kind="stable")
+    starts = np.flatnonzero(np.diff(sample[by_number], prepend=sample.min() - 2) != 1)
+    return by_number, np.arange(len(sample)) - np.repeat(starts, np.diff(starts, append=len(sample)))
+
+
+def filter_tables(partial: Array) -> Array:
+    """Coefficients of the prediction-error filter after 0, 1, ... p values, by Levinson's recursion.
+
+    `partial` are partial autocorrelations, shape (k, p). The result, (k, p + 1, p + 1), has a row for each
+    number of values before and a column for each lag, over the standard deviation of the error there.
+
+    Examples
+    --------
+    >>> filter_tables(np.array([[0.6, -0.2]]))[0].round(3)
+    array([[ 1.   ,  0.   ,  0.   ],
+           [ 1.25 , -0.75 ,  0.   ],
+           [ 1.276, -0.919,  0.255]])
+    """
+    k, p = partial.shape
+    tables = np.zeros((k, p + 1, p + 1))
+    tables[:, :, 0] = 1.0
+    for depth in range(1, p + 1):
+        last, before = partial[:, depth - 1, None], tables[:, depth - 1, 1:depth]
+        tables[:, depth, 1:depth] = before - last * before[:, ::-1]
+        tables[:, depth, depth] = -last[:, 0]
+    error_sd = np.sqrt(np.cumprod(np.concatenate([np.ones((k, 1)), 1.0 - partial**2], axis=1), axis=1))
+    return np.asarray(tables / error_sd[:, :, None])
+
+
+@dataclass(frozen=True, eq=False)
+class _LagSums:
+    """Sums of products of lagged columns, by two lags, the first at most the second.
+
+    Attributes
+    ----------
+    starts : tuple of dict
+        For each number of values before, over the rows with just so many.
+    others : dict
+        Over the rows with at least as many as the order.
+    """
+
+    starts: tuple[dict[tuple[int, int], Array], ...]
+    others: dict[tuple[int, int], Array]
+
+    @property
+    def order(self) -> int:
+        """Of the autoregression."""
+        return len(self.starts)
+
+    @cached_property
+    def matrix(self) -> Array:
+        """All of them, a row for each entry of `places`."""
+        return np.stack([sums[pair] for sums in (*self.starts, self.others) for pair in sorted(sums)])
+
+    @cached_property
+    def places(self) -> IntArray:
+        """Number of values before, and both lags, of each row of `matrix`, shape (3, k)."""
+        every = enumerate((*self.starts, self.others))
+        return np.array([(depth, *pair) for depth, sums in every for pair in sorted(sums)]).T
+
+
+class RestrictedLikelihood:
+    """Of an autoregression about a mean linear in blocks' own parameters and in those of a border.
+
+    Parameters
+    ----------
+    linearized : LinearizedFit
+        Without a filter.
+    border : array, shape (n, m)
+    sample : array of int, shape (n,)
+        As of `Autocorrelation`; no sequence goes on in another block.
+    """
+
+    def __init__(self, linearized: LinearizedFit, border: Array, sample: IntArray) -> None:
+        blocks, n = linearized.blocks, len(sample)
+        widths = np.array([basis.shape[1] for _, basis in blocks], dtype=np.intp)
+        self.own_width = int(max(widths, default=0))
+        own, block = np.zeros((n, self.own_width)), np.zeros(n, dtype=np.intp)
+        for number, (rows, basis) in enumerate(blocks if self.own_width else ()):
+            own[rows, : basis.shape[1]], block[rows] = basis, number
+        number = len(blocks) if self.own_width else 1
+        absent = np.arange(self.own_width) >= (widths[:, None] if self.own_width else np.zeros((1, 1)))
+        self.filled_up = absent[:, None, :] * np.eye(self.own_width)
+        self.df = n - int(widths.sum()) - border.shape[1]
+        by_number, self.place = order_samples(sample)
+        columns = np.concatenate([own, border, linearized.residual[:, None]], axis=1)[by_number]
+        self.block, self.n_blocks, width = block[by_number], number, columns.shape[1]
+        # The last row, of zeros, is that of blocks that are shorter than others.
+        self.columns = np.concatenate([columns, np.zeros((1, width))])
+        self.is_last = np.append(self.place[1:] == 0, True)
+        everything = {(0, 0): self._sum_products(np.arange(n), 0, 0)}
+        self.sums = [_LagSums((), everything)]
+
+    def criterion(self, partial: Array) -> float:
+        """Bayesian information criterion, over -2."""
+        return self.negative_log(partial) + 0.5 * len(partial) * float(np.log(max(self.df, 2)))
+
+    def maximize(self, start: Array) -> Array:
+        """Partial autocorrelations of the highest likelihood."""
+        from scipy.optimize import minimize
+
+        def of_transformed(z: Array) -> tuple[float, Array]:
+            partial = np.tanh(z)
+            value, slopes = self.differentiate(partial)
+            return value, slopes * (1.0 - partial**2)
+
+        # So close to unit roots that nothing of a parameter is left there is no likelihood.
+        for largest in LARGEST_PARTIALS:
+            limit, first = float(np.arctanh(largest)), np.arctanh(np.clip(start, -largest, largest))
+            with suppress(np.linalg.LinAlgError):
+                result = minimize(
+                    of_transformed,
+                    first,
+                    method="L-BFGS-B",
+                    jac=True,
+                    bounds=[(-limit, limit)] * len(start),
+                    options={"maxiter": MAX_ITERATIONS, "ftol": LIKELIHOOD_TOL},
+                )
+                return np.asarray(np.tanh(result.x))
+        return start
+
+    def negative_log(self, partial: Array) -> float:
+        """Negative log likelihood, the noise's variance maximized out, but for a constant."""
+        return self._evaluate(self._sums_of(len(partial)), partial)[0]
+
+    def differentiate(self, partial: Array) -> tuple[float, Array]:
+        """`negative_log` and its derivatives, shape (p,)."""
+        sums = self._sums_of(len(partial))
+        value, by_cell = self._evaluate(sums, partial)
+        steps = WEIGHT_STEP * np.eye(len(partial))
+        ahead, behind = (_weights(sums, partial + sign * steps) for sign in (1.0, -1.0))
+        slopes = (ahead - behind) @ (sums.matrix @ by_cell) / (2.0 * WEIGHT_STEP)
+        counts = np.bincount(np.minimum(self.place, sums.order), minlength=sums.order + 1)
+        beyond = counts[::-1].cumsum()[::-1][1:]
+        return value, slopes - beyond * partial / (1.0 - partial**2)
+
+    def _evaluate(self, sums: _LagSums, partial: Array) -> tuple[float, Array]:
+        """The negative log likelihood, and its derivatives by the filtered columns' products."""
+        weights, own = _weights(sums, partial[None])[0], self.own_width
+        cells, width = weights @ sums.matrix, self.columns.shape[1] - own
+        left, rest = cells[: width**2].reshape(width, width), cells[width**2 :]
+        if left[-1, -1] < MIN_LEFT * float(np.abs(weights) @ np.abs(sums.matrix[:, width**2 - 1])):
+            raise np.linalg.LinAlgError
+        products = rest.reshape(self.n_blocks, own, own + width)
+        within, across = products[:, :, :own] + self.filled_up, products[:, :, own:]
+        lower = np.linalg.cholesky(within)
+        inverse = np.linalg.inv(within)
+        solved = inverse @ across
+        left = left - np.einsum("kij,kil->jl", across, solved)
+        border = np.linalg.cholesky(left[:-1, :-1])
+        inverse_border = np.linalg.inv(left[:-1, :-1])
+        direction = np.append(-inverse_border @ left[:-1, -1], 1.0)
+        squares = float(direction @ left @ direction)
+        if squares <= 0.0:
+            raise np.linalg.LinAlgError
+        log_determinant = sum(
+            2.0 * float(np.log(np.diagonal(one, axis1=-2, axis2=-1)).sum()) for one in (lower, border)
+        )
+        log_sd = 0.5 * np.cumsum(np.append(0.0, np.log1p(-(partial**2))))
+        value = 0.5 * self.df * float(np.log(squares)) + 0.5 * log_determinant
+        value += float(log_sd[np.minimum(self.place, sums.order)].sum())
+        by_left = 0.5 * self.df / squares * np.outer(direction, direction)
+        by_left[:-1, :-1] += 0.5 * inverse_border
+        by_across = -2.0 * solved @ by_left
+        by_within = solved @ by_left @ solved.transpose(0, 2, 1) + 0.5 * inverse
+        by_block = np.concatenate([by_within, by_across], axis=2)
+        return value, np.concatenate([by_left.ravel(), by_block.ravel()])
+
+    def _sums_of(self, order: int) -> _LagSums:
+        """Those of an order, from those of the order before."""
+        while len(self.sums) <= order:
+            before, place = self.sums[-1], self.place
+            p = before.order
+            starting, enough = np.flatnonzero(place == p), np.flatnonzero(place > p)
+            ending = np.flatnonzero((place >= p) & self.is_last)
+            pairs = [(i, j) for i in range(p + 1) for j in range(i, p + 1)]
+            starts = {pair: self._sum_products(starting, *pair) for pair in pairs}
+            others = {
+                (i + 1, j + 1): before.others[i, j] - self._sum_products(ending, i, j) for i, j in pairs
+            }
+            others |= {(0, j): before.others[0, j] - starts[0, j] for j in range(p + 1)}
+            others[0, p + 1] = self._sum_products(enough, 0, p + 1)
+            self.sums.append(_LagSums((*before.starts, starts), others))
+        return self.sums[order]
+
+    def _sum_products(self, rows: IntArray, one: int, other: int) -> Array:
+        """Products of the columns at two lags before some rows, in either order, summed.
+
+        First those of the border and the residual, then, block by block, of its own columns with all.
+        """
+        order = np.argsort(self.block[rows], kind="stable")
+        count = np.bincount(self.block[rows], minlength=self.n_blocks)
+        padded = np.full((self.n_blocks, int(count.max(initial=0))), -1)
+        first = np.repeat(np.cumsum(count) - count, count)
+        padded[self.block[rows][order], np.arange(len(rows)) - first] = rows[order]
+        at = [self.columns[np.where(padded >= 0, padded - lag, -1)] for lag in (one, other)]
+        width, own = self.columns.shape[1], self.own_width
+        whole = [columns[:, :, own:].reshape(-1, width - own) for columns in at]
+        border = whole[0].T @ whole[1]
+        blocks = at[0][:, :, :own].transpose(0, 2, 1) @ at[1]
+        if one != other:
+            border = border + border.T
+            blocks = blocks + at[1][:, :, :own].transpose(0, 2, 1) @ at[0]
+        return np.concatenate([border.ravel(), blocks.ravel()])
+
+
+def _weights(sums: _LagSums, partial: Array) -> Array:
+    """Factors of the sums in the products of filtered columns, for partials of shape (k, p); (k, rows)."""
+    tables, (depth, one, other) = filter_tables(partial), sums.places
+    return np.asarray(tables[:, depth, one] * tables[:, depth, other])

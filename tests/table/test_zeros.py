@@ -1,0 +1,51 @@
+"""A wrong zero of the response or of a column: named with its size, no candidate where the law has it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import stickslip_fit as ssf
+from stickslip_fit.causes import TableRoles, generic_causes, prepare_rows
+
+
+def spring():
+    x = np.linspace(0.01, 0.1, 20)
+    force = 25.0 * x + 0.06 + 0.012 * np.random.default_rng(12).standard_normal(20)
+    return pd.DataFrame({"x": x, "F": force}), "F ~ k*x"
+
+
+def lens():
+    u = np.linspace(0.15, 0.6, 25)
+    v = 0.1 * u / (u - 0.1) + 0.0005 * np.random.default_rng(1).standard_normal(25)
+    return pd.DataFrame({"u": u + 0.006, "v": v}), "v ~ f*u/(u - f)"
+
+
+@pytest.mark.parametrize(("make", "name", "size"), [(spring, "offset", 0.06), (lens, "zero-of:u", -0.006)])
+def test_a_wrong_zero_is_named_with_its_size(make, name, size):
+    diagnosis = ssf.diagnose_table(*make())
+    (finding,) = diagnosis.findings
+    (parameter,) = finding.parameters
+    assert finding.cause == name
+    assert parameter.size.low < size < parameter.size.high
+    assert diagnosis.gain.extended < 0.5 * diagnosis.gain.baseline
+    assert parameter.size.low < diagnosis.extended_law().parameters["estimate"].iloc[-1] < parameter.size.high
+
+
+@pytest.mark.parametrize(
+    ("law", "names"),
+    [
+        ("y ~ a + b*x", set()),  # the zero of x is in a
+        ("y ~ b*x", {"offset"}),  # and would be an offset here
+        ("y ~ A*exp(-x/tau) + c", set()),  # and in A here
+        ("y ~ g*x**2", {"offset", "zero-of:x"}),
+    ],
+)
+def test_what_a_parameter_absorbs_is_no_candidate(law, names):
+    x = np.linspace(1.0, 5.0, 30)
+    frame = pd.DataFrame({"x": x, "y": np.exp(-x) + 0.1 * np.random.default_rng(0).standard_normal(30)})
+    rows, roles = prepare_rows(frame, TableRoles()), TableRoles()
+    bound = ssf.Law(law).bind_table(rows)
+    found = {one.name for one in generic_causes(rows, bound, roles)}
+    assert found - {"outliers"} == names
