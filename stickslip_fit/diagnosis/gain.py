@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 import pandas as pd
@@ -35,7 +35,7 @@ from stickslip_fit.diagnosis.gain_interval import (
     keep_columns,
     log_likelihood_ratio,
     prepare_calibration,
-    simulate_gain_interval,
+    simulate_gain_intervals,
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes
 from stickslip_fit.diagnosis.leave_out import prepare_looks
@@ -54,7 +54,8 @@ from stickslip_fit.machine import Machine
 MIN_SQUARE = 1e-300
 FOLD_SEED = 0  # the same for all logs: folds follow from the design, so that a replicate has the same
 MAX_SERIAL_ROWS = 1000  # above, processes share the splits
-PROGRESS_START, PROGRESS_FOLDS, PROGRESS_END = 0.2, 0.7, 0.95  # shares of a diagnosis's work
+PROGRESS_START, PROGRESS_END = 0.2, 0.95  # shares of a diagnosis's work
+PROGRESS_STEP = "predicting held-out traverses"
 
 SplitProgress = Callable[[int, int], None]
 HeldOutErrors = Callable[..., Array]
@@ -85,31 +86,31 @@ def measure_gain(
     problem = selection.problem
     if not len(problem):
         return None, None, findings
-    estimate = partial(
-        estimate_gain, selector=partial(select_in_fold, alpha=alpha), alpha=alpha, seed=seed, workers=workers
-    )
-
-    def report(step: str, first: float, last: float) -> SplitProgress:
-        return lambda done, number: progress(step, first + (last - first) * done / number)
-
-    looks = prepare_looks(selection, alpha) if selection.law_causes else None
-    confirm = partial(confirm_held_out_errors, looks) if looks is not None else None
     folds = hold_out_configurations(selection)
     sessions = hold_out_sessions(problem, machine) if machine is not None else []
-    gain = new_session = None
-    if folds:
-        report_split = report("predicting held-out traverses", PROGRESS_START, PROGRESS_FOLDS)
-        gain, own = estimate(selection, findings, folds, confirm=confirm, progress=report_split)
-    if sessions:
-        report_split = report("predicting new sessions", PROGRESS_FOLDS, PROGRESS_END)
-        new_session, _ = estimate(selection, findings, sessions, confirm=confirm, progress=report_split)
-    return gain, new_session, own if folds else findings
+    if not (sets := [one for one in (folds, sessions) if one]):
+        return None, None, findings
+    looks = prepare_looks(selection, alpha) if selection.law_causes else None
+    first, last = PROGRESS_START, PROGRESS_END
+    estimates = estimate_gains(
+        selection,
+        findings,
+        sets,
+        partial(select_in_fold, alpha=alpha),
+        alpha=alpha,
+        seed=seed,
+        workers=workers,
+        progress=lambda done, number: progress(PROGRESS_STEP, first + (last - first) * done / number),
+        confirm=partial(confirm_held_out_errors, looks) if looks is not None else None,
+    )
+    gain, own = estimates[0] if folds else (None, findings)
+    return gain, estimates[-1][0] if sessions else None, own
 
 
-def estimate_gain(
+def estimate_gains(
     selection: Selection,
     findings: Sequence[Finding],
-    splits: Sequence[Split],
+    sets: Sequence[Sequence[Split]],
     selector: Selector,
     *,
     alpha: float,
@@ -119,8 +120,10 @@ def estimate_gain(
     compute_errors: HeldOutErrors = compute_held_out_errors,
     confirm: Callable[..., Array | None] | None = None,
     recolour: Recolouring = keep_columns,
-) -> tuple[Gain, tuple[Finding, ...]]:
+) -> list[tuple[Gain, tuple[Finding, ...]]]:
     """Repeat the selection in each split, and compare its predictions of the held-out rows.
+
+    Campaigns are simulated once for all sets of splits.
 
     Parameters
     ----------
@@ -128,8 +131,8 @@ def estimate_gain(
         Of the whole log; outlying counts take no part.
     findings : sequence of Finding
         Of the whole log. Those that extend no law gain nothing.
-    splits : sequence of Split
-        Of the rows of `selection.problem`; at least one.
+    sets : sequence of sequence of Split
+        Of the rows of `selection.problem`; at least one in each set.
     selector : callable
         From a problem and a generator to a selection.
     alpha, seed : float, int
@@ -147,35 +150,49 @@ def estimate_gain(
 
     Returns
     -------
-    gain : Gain
-    findings : tuple of Finding
-        The same, each with its own gain.
+    list of (Gain, tuple of Finding)
+        Of each set the gain, and the same findings, each with its own gain.
     """
-    extending, held_out = [one for one in findings if one.version is not None], _count_held_out(splits)
+    extending = [finding for finding in findings if finding.version is not None]
     if extending:
         compute = partial(compute_errors, selection.problem, findings=extending, selector=selector)
-        known = [confirm(split, extending) if confirm else None for split in splits]
-        errors = _collect_errors(compute, known, len(selection.problem), splits, seed, workers, progress)
-        splits, errors = _leave_out_stalls(splits, errors)
-        rms, rng = np.sqrt(np.mean(errors**2, axis=1)), np.random.default_rng([seed, 1])
-        campaign = _linearize_campaign(selection, extending, alpha)
-        campaign = replace(campaign, recolour=recolour)
-        beyond = [_slopes_beyond(selection, extending, split) for split in splits]
-        limits = simulate_gain_interval(campaign, splits, rms, rng, beyond=beyond)
+        every, ends = list(chain(*sets)), np.cumsum([len(splits) for splits in sets])
+        known = [confirm(split, extending) if confirm else None for split in every]
+        numbers = [number for splits in sets for number in range(len(splits))]
+        errors = _collect_errors(
+            compute, known, len(selection.problem), every, numbers, seed, workers, progress
+        )
+        held_out = [
+            _leave_out_stalls(splits, np.concatenate(errors[end - len(splits) : end], axis=1))
+            for splits, end in zip(sets, ends, strict=True)
+        ]
+        rms, rng = [np.sqrt(np.mean(own**2, axis=1)) for _, own in held_out], np.random.default_rng([seed, 1])
+        campaign = replace(_linearize_campaign(selection, extending, alpha), recolour=recolour)
+        kept = [splits for splits, _ in held_out]
+        beyond = [[_slopes_beyond(selection, extending, split) for split in splits] for splits in kept]
+        limits = simulate_gain_intervals(campaign, kept, np.stack(rms), rng, beyond=beyond)
     else:
-        errors, limits = _baseline_errors(selection, splits, recolour)[None], np.zeros((2, 1))
+        held_out = [(splits, _baseline_errors(selection, splits, recolour)[None]) for splits in sets]
+        limits = np.zeros((len(sets), 2, 1))
+    estimates = []
+    for splits, (kept_splits, own), its_limits in zip(sets, held_out, limits, strict=True):
+        gain, with_gains = _compare_errors(selection, findings, kept_splits, own, its_limits)
+        stalled = sum(len(one.held_out) for one in splits) - sum(len(one.held_out) for one in kept_splits)
+        estimates.append((replace(gain, stalled=stalled), with_gains))
+    return estimates
+
+
+def _compare_errors(
+    selection: Selection, findings: Sequence[Finding], splits: Sequence[Split], errors: Array, limits: Array
+) -> tuple[Gain, tuple[Finding, ...]]:
+    """The gain of all findings and of each, from errors of shape (k + 1, number held out)."""
     steps = np.cumsum([0, *(finding.version is not None for finding in findings)])
     gains = [
         _make_gain(selection, splits, errors[[before, after]], (after > before) * limits[:, before])
         for before, after in pairwise(steps)
     ]
     own = tuple(replace(finding, gain=gain) for finding, gain in zip(findings, gains, strict=True))
-    whole = _make_gain(selection, splits, errors[[0, -1]], limits[:, -1])
-    return replace(whole, stalled=held_out - _count_held_out(splits)), own
-
-
-def _count_held_out(splits: Sequence[Split]) -> int:
-    return sum(len(split.held_out) for split in splits)
+    return _make_gain(selection, splits, errors[[0, -1]], limits[:, -1]), own
 
 
 def _collect_errors(
@@ -183,12 +200,14 @@ def _collect_errors(
     known: Sequence[Array | None],
     n_rows: int,
     splits: Sequence[Split],
+    numbers: Sequence[int],
     seed: int,
     workers: int,
     progress: SplitProgress | None,
-) -> Array:
-    open_splits = [number for number, errors in enumerate(known) if errors is None]
-    tasks = [partial(compute, splits[number], seed=(seed, number)) for number in open_splits]
+) -> list[Array]:
+    """The errors in each split; `numbers` are those that the splits have in their sets."""
+    open_splits = [place for place, errors in enumerate(known) if errors is None]
+    tasks = [partial(compute, splits[place], seed=(seed, numbers[place])) for place in open_splits]
     # Starting a process takes as long as the selection in several folds of a small log.
     if n_rows > MAX_SERIAL_ROWS and len(open_splits) > 1:
         from joblib import Parallel, delayed
@@ -196,12 +215,12 @@ def _collect_errors(
         results = Parallel(n_jobs=workers, return_as="generator")(delayed(task)() for task in tasks)
     else:
         results = (task() for task in tasks)
-    errors = dict(enumerate(known))
-    for done, (number, split_errors) in enumerate(zip(open_splits, results, strict=True), start=1):
-        errors[number] = split_errors
+    errors = {place: own for place, own in enumerate(known) if own is not None}
+    for done, (place, split_errors) in enumerate(zip(open_splits, results, strict=True), start=1):
+        errors[place] = split_errors
         if progress is not None:
             progress(len(splits) - len(open_splits) + done, len(splits))
-    return np.concatenate([errors[number] for number in range(len(splits))], axis=1)
+    return [errors[place] for place in range(len(splits))]
 
 
 def _leave_out_stalls(splits: Sequence[Split], errors: Array) -> tuple[Sequence[Split], Array]:
@@ -341,10 +360,8 @@ def _slopes_beyond(selection: Selection, findings: Sequence[Finding], split: Spl
     away from all others, which `compute_table_errors` does not do either.
     """
     problem, shared = selection.problem, len(selection.fit.values)
-    less, training = (
-        np.zeros((len(problem), shared)),
-        problem.rows.drop(index=problem.rows.index[split.held_out]),
-    )
+    less = np.zeros((len(problem), shared))
+    training = problem.rows.drop(index=problem.rows.index[split.held_out])
     for part in selection.fit.parts:
         inside = np.isin(part.rows, split.held_out)
         if inside.any() and isinstance(part.law, ExtendedTableLaw):

@@ -271,8 +271,9 @@ class _SimulatedReplicates:
 
     Attributes
     ----------
-    rms : array, shape (m, k + 1)
-        Held-out rms error of the baseline, with the first cause, with the first two, and so on.
+    rms : array, shape (t, m, k + 1)
+        Held-out rms error in each of t sets of splits: of the baseline, with the first cause, with the first
+        two, and so on.
     lengths : array, shape (m, k)
         Estimated length of each cause's effect.
     """
@@ -281,71 +282,74 @@ class _SimulatedReplicates:
     lengths: Array
 
     def gains(self, first: int, last: int) -> Array:
-        """Gain of the causes from one step to another, shape (m,)."""
-        return self.rms[:, first] - self.rms[:, last]
+        """Gain of the causes from one step to another, shape (t, m)."""
+        return self.rms[..., first] - self.rms[..., last]
 
     def select(self, which: BoolArray) -> _SimulatedReplicates:
         """Some of the replicates."""
-        return _SimulatedReplicates(self.rms[which], self.lengths[which])
+        return _SimulatedReplicates(self.rms[:, which], self.lengths[which])
 
 
-def simulate_gain_interval(
+def simulate_gain_intervals(
     campaign: LinearizedCampaign,
-    splits: Sequence[Split],
+    sets: Sequence[Sequence[Split]],
     observed: Array,
     rng: np.random.Generator,
     n_draws: int = N_DRAWS,
-    beyond: Sequence[Array] | None = None,
+    beyond: Sequence[Sequence[Array]] | None = None,
 ) -> Array:
-    """Interval of the gain that a replicate of the campaign would show.
+    """Interval of the gain that a replicate of the campaign would show, in each of t sets of splits.
 
     Parameters
     ----------
     campaign : LinearizedCampaign
-    splits : sequence of Split
+    sets : sequence of sequence of Split
         Of this campaign and of a replicate.
-    observed : array, shape (k + 1,)
+    observed : array, shape (t, k + 1)
         Held-out rms error of the baseline, with the first cause, with the first two, and so on.
     rng : Generator
     n_draws : int, optional
-    beyond : sequence of array, each shape (h, q), optional
-        Of each split, what `slopes` of all causes are less in its held-out rows, recoloured, since the causes
-        are constant beyond what training rows show.
+    beyond : sequence of sequence of array, each shape (h, q), optional
+        Of each split of each set, what `slopes` of all causes are less in its held-out rows, recoloured,
+        since the causes are constant beyond what training rows show.
 
     Returns
     -------
-    array, shape (2, k + 1)
+    array, shape (t, 2, k + 1)
         Quantiles 0.025 and 0.975 of the gain of each cause after those before it, then of all.
     """
     lengths = campaign.effect_lengths(Responses.of(campaign, campaign.effects)).diagonal()
-    prepared = [prepare_split(campaign.basis, split, campaign.recolour) for split in splits]
+    prepared = [[prepare_split(campaign.basis, split, campaign.recolour) for split in own] for own in sets]
     if beyond is not None:
         prepared = [
-            replace(one, beyond=campaign.spread_slopes(own))
-            for one, own in zip(prepared, beyond, strict=True)
+            [replace(one, beyond=campaign.spread_slopes(own)) for one, own in zip(*pair, strict=True)]
+            for pair in zip(prepared, beyond, strict=True)
         ]
     first, second = _simulate_replicate_pairs(campaign, prepared, lengths, n_draws, rng)
-    steps = [(k, k + 1) for k in range(len(observed) - 1)] + [(0, len(observed) - 1)]
-    limits = []
-    for step in steps:
-        gain, replicate_gain = first.gains(*step), second.gains(*step)
-        value = observed[step[0]] - observed[step[1]]
-        distance = np.mean((first.lengths - lengths)[:, slice(*step)] ** 2, axis=1)
-        distance += ((gain - value) / max(float(np.std(replicate_gain - gain)), 1e-12)) ** 2
-        accepted = np.argsort(distance, kind="stable")[: int(ACCEPTED_SHARE * len(gain)) + 1]
-        limits.append(value + np.quantile(replicate_gain[accepted] - gain[accepted], [0.025, 0.975]))
-    return np.stack(limits, axis=1)
+    n_causes = observed.shape[1] - 1
+    steps = [(k, k + 1) for k in range(n_causes)] + [(0, n_causes)]
+    limits = np.zeros((len(sets), 2, len(steps)))
+    for number, step in enumerate(steps):
+        far = np.mean((first.lengths - lengths)[:, slice(*step)] ** 2, axis=1)
+        values = observed[:, step[0]] - observed[:, step[1]]
+        for own, value, gain, replicate_gain in zip(
+            limits, values, first.gains(*step), second.gains(*step), strict=True
+        ):
+            distance = far + ((gain - value) / max(float(np.std(replicate_gain - gain)), 1e-12)) ** 2
+            accepted = np.argsort(distance, kind="stable")[: int(ACCEPTED_SHARE * len(gain)) + 1]
+            own[:, number] = value + np.quantile(replicate_gain[accepted] - gain[accepted], [0.025, 0.975])
+    return limits
 
 
 def _concatenate(parts: Sequence[_SimulatedReplicates]) -> _SimulatedReplicates:
     return _SimulatedReplicates(
-        np.concatenate([part.rms for part in parts]), np.concatenate([part.lengths for part in parts])
+        np.concatenate([part.rms for part in parts], axis=1), np.concatenate([part.lengths for part in parts])
     )
 
 
 def _simulate_replicate_pairs(
     campaign: LinearizedCampaign,
-    splits: Sequence[SplitOperators],
+    sets: Sequence[Sequence[SplitOperators]],
     lengths: Array,
     n_draws: int,
     rng: np.random.Generator,
@@ -360,7 +364,7 @@ def _simulate_replicate_pairs(
         signal = campaign.effects @ factors.T
         pairs.append(
             [
-                _simulate_replicates(campaign, splits, signal + _draw_noise(campaign, number, rng), rng)
+                _simulate_replicates(campaign, sets, signal + _draw_noise(campaign, number, rng), rng)
                 for _ in range(2)
             ]
         )
@@ -377,17 +381,29 @@ def _draw_noise(campaign: LinearizedCampaign, number: int, rng: np.random.Genera
 
 def _simulate_replicates(
     campaign: LinearizedCampaign,
-    splits: Sequence[SplitOperators],
+    sets: Sequence[Sequence[SplitOperators]],
     values: Array,
     rng: np.random.Generator,
 ) -> _SimulatedReplicates:
-    m, k, responses = values.shape[1], len(campaign.slopes), Responses.of(campaign, values)
-    squares, count = np.zeros((m, k + 1)), 0
+    responses = Responses.of(campaign, values)
     # Splits have nearly all rows of a campaign in common: what favours a rival in one does so in the others.
     spread = [
-        RIVAL_LOG_EVIDENCE_SD * rng.standard_normal((m, len(one.log_bayes_factor)))
+        RIVAL_LOG_EVIDENCE_SD * rng.standard_normal((values.shape[1], len(one.log_bayes_factor)))
         for one in campaign.competing_causes
     ]
+    rms = [_held_out_rms(campaign, splits, responses, spread) for splits in sets]
+    return _SimulatedReplicates(np.stack(rms), campaign.effect_lengths(responses))
+
+
+def _held_out_rms(
+    campaign: LinearizedCampaign,
+    splits: Sequence[SplitOperators],
+    responses: Responses,
+    spread: Sequence[Array],
+) -> Array:
+    """As of `_SimulatedReplicates`, of one set of splits, shape (m, k + 1)."""
+    m, k = responses.values.shape[1], len(campaign.slopes)
+    squares, count = np.zeros((m, k + 1)), 0
     for operators in splits:
         sums = operators.training.sum_training(campaign, responses)
         results = np.stack(
@@ -409,7 +425,7 @@ def _simulate_replicates(
                 )
                 squares[logs, step] += np.sum(((plain[:, logs] - added) * scale) ** 2, axis=0)
         count += len(held_out)
-    return _SimulatedReplicates(np.sqrt(squares / count), campaign.effect_lengths(responses))
+    return np.sqrt(squares / count)
 
 
 def simulate_selection(

@@ -43,12 +43,30 @@ from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 MIN_KNOWN = 1e-6  # of a row left out: what calibration leaves of it; below, its block has no other row
 SHARED_FILL = 0.25  # of the rows, above which a direction of the calibration counts as shared by all
 MIN_OVERLAP = 1e-9  # product of a direction and a column of the calibration that counts
-MAX_DENSE, MAX_DENSE_ROWS = 128, 1000  # rows of a product, and rows left out
 MIN_LEFT = 1e-6  # of the square of a direction, in the rows left
 CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
 CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next, before these are refitted
 CLEAR_REFIT = 1.0  # nats between the best cause and the next, both refitted
 MIN_EVIDENCE_SHARE = 0.5  # of the evidence in all rows; with less, a few rows may bear it
+
+
+@dataclass(frozen=True, eq=False)
+class _LeftOutBlocks:
+    """Blocks of which s rows each are left out, with c columns; B blocks.
+
+    Attributes
+    ----------
+    members : array of int, shape (B, s)
+        Among the rows left out.
+    roots : array, shape (B, c, s)
+        R, transposed.
+    numbers : array of int, shape (B, c)
+        Of the columns.
+    """
+
+    members: IntArray
+    roots: Array
+    numbers: IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +81,15 @@ class LeftOut:
     rows : array of int, shape (h,)
     own : sparse array, shape (h, h')
         R; rows without which their block is not determined add no column.
+    blocks : tuple of _LeftOutBlocks
+        The same, of blocks with equally many rows and columns.
     shared : array, shape (h, k)
         R U sqrt(e).
     """
 
     rows: IntArray
     own: csr_array
+    blocks: tuple[_LeftOutBlocks, ...]
     shared: Array
 
     @classmethod
@@ -78,6 +99,7 @@ class LeftOut:
         inside = csc_array(basis[rows])
         own, border = csr_array(inside[:, ~is_shared]), inside[:, is_shared].toarray()
         _, block = connected_components(abs(own) @ abs(own).T, directed=False)
+        found: dict[tuple[int, ...], list[tuple[IntArray, Array, IntArray]]] = {}
         places, columns, entries, width, last = [], [], [], 0, 0
         groups = split_positions(block)
         together = own[np.concatenate([*groups, rows[:0]])]
@@ -85,40 +107,39 @@ class LeftOut:
             _, part = _pick_columns(together, last, last := last + len(members))
             known, vectors = np.linalg.eigh(np.eye(len(members)) - part @ part.T)
             root = vectors[:, known > MIN_KNOWN] / np.sqrt(known[known > MIN_KNOWN])
-            places.append(np.repeat(members, root.shape[1]))
-            columns.append(np.tile(np.arange(width, width + root.shape[1]), len(members)))
+            numbers = np.arange(width, width := width + root.shape[1])
+            found.setdefault(root.shape, []).append((members, root.T, numbers))
+            places.append(np.repeat(members, len(numbers)))
+            columns.append(np.tile(numbers, len(members)))
             entries.append(root.ravel())
-            width += root.shape[1]
         positions = (np.concatenate(places), np.concatenate(columns))
         roots = csr_array((np.concatenate(entries), positions), shape=(len(rows), width))
         left, singular, _ = np.linalg.svd(roots.T @ border, full_matrices=False)
         size = singular**2 / np.maximum(1.0 - singular**2, MIN_KNOWN)
-        return cls(rows, roots, roots @ (left * np.sqrt(size)))
+        blocks = tuple(_LeftOutBlocks(*map(np.stack, zip(*own, strict=True))) for own in found.values())
+        return cls(rows, roots, blocks, roots @ (left * np.sqrt(size)))
 
     def coordinates(self, columns: Array) -> Array:
         """Coordinates of projected columns, (h, m) -> (h' + k, m), with products under the inverse of P."""
         return np.concatenate([self.own.T @ columns, self.shared.T @ columns])
 
-    def restrict(self, inside: IntArray) -> Restriction:
-        """To columns that are zero in all rows left out but those `inside`."""
-        n_own, shared = self.own.shape[1], self.shared[inside].T
-        beyond = np.arange(n_own, n_own + len(shared))
-        # A product with few entries is faster without the sparse index.
-        if len(inside) > MAX_DENSE:
-            coordinates = np.concatenate([np.arange(n_own), beyond])
-            return Restriction(inside, coordinates, csr_array(self.own[inside].T), shared)
-        if self._dense is None:
-            used, own = _pick_columns(self.own[inside], 0, len(inside))
-        else:
-            used = np.flatnonzero(self._dense[inside].any(axis=0))
-            own = self._dense[inside][:, used]
-        coordinates = np.concatenate([used, beyond])
-        return Restriction(inside, coordinates, np.concatenate([own.T, shared]), shared[:0])
+    def select(self, directions: Array, place: IntArray) -> tuple[IntArray, Array]:
+        """Coordinates of directions in some rows, of those only that may differ from zero: which, and (c, m).
 
-    @cached_property
-    def _dense(self) -> Array | None:
-        """`own` as an array, of which some rows are taken much faster; None where it is large."""
-        return self.own.toarray() if len(self.rows) <= MAX_DENSE_ROWS else None
+        `place`, shape (n,), has the row of `directions` of each row, or -1, which is a row of zeros.
+        """
+        numbers, found = [np.zeros(0, dtype=np.intp)], [directions[:0]]
+        for one in self.blocks:
+            at = place[self.rows[one.members]]
+            inside = np.any(at >= 0, axis=1)
+            if inside.any():
+                numbers.append(one.numbers[inside].ravel())
+                found.append((one.roots[inside] @ directions[at[inside]]).reshape(-1, directions.shape[1]))
+        if n_shared := self.shared.shape[1]:
+            at = place[self.rows]
+            numbers.append(self.own.shape[1] + np.arange(n_shared))
+            found.append(self.shared[at >= 0].T @ directions[at[at >= 0]])
+        return np.concatenate(numbers), np.concatenate(found)
 
     def remove(self, columns: Array, basis: csr_array) -> Array:
         """Projected columns without the rows, zero in them, (n, m) -> (n, m)."""
@@ -137,32 +158,6 @@ def _pick_columns(matrix: csr_array, first: int, last: int) -> tuple[IntArray, A
     dense = np.zeros((last - first, len(used)))
     dense[np.repeat(np.arange(last - first), np.diff(ends)), column] = matrix.data[ends[0] : ends[-1]]
     return used.astype(np.intp), dense
-
-
-@dataclass(frozen=True, eq=False)
-class Restriction:
-    """Rows left out, of columns that are zero in all of them but h''.
-
-    Attributes
-    ----------
-    inside : array of int, shape (h'',)
-    coordinates : array of int, shape (c + k,)
-        Those of a column that may differ from zero.
-    own : array or sparse array, shape (c, h'')
-    shared : array, shape (k, h'')
-        Both as of `LeftOut`, transposed; if dense, `own` has them all.
-    """
-
-    inside: IntArray
-    coordinates: IntArray
-    own: Array | csr_array
-    shared: Array
-
-    def select(self, columns: Array) -> Array:
-        """Coordinates of projected columns, (h'', m) -> (c + k, m)."""
-        if not len(self.shared):
-            return np.asarray(self.own @ columns)
-        return np.concatenate([self.own @ columns, self.shared @ columns])
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +189,8 @@ class _Stack:
     ----------
     place : array of int, shape (n,)
         Of each row of the fit among the s rows, or -1.
-    directions : array, shape (s, m)
+    directions : array, shape (s + 1, m)
+        The last row is zero.
     along : array, shape (m,)
         Coefficient of the residual along each direction.
     overlap : array, shape (q, m)
@@ -210,22 +206,20 @@ class _Stack:
     overlap: Array
     blocks: tuple[_Blocks, ...]
 
-    def without(
-        self, restriction: Restriction, rows: IntArray, lost: Array, common: Array
-    ) -> tuple[Array, Array]:
+    def without(self, left_out: LeftOut, lost: Array, common: Array) -> tuple[Array, Array]:
         """Coordinates of the directions without some rows, (d, m), and the residual's coefficients, (m,).
 
-        `rows` are those left out, `lost`, shape (h' + k,), the residual's coordinates, `common`, shape
-        (h' + k, q), those of the columns of `overlap`. The coordinates are any with the same products.
+        `lost`, shape (h' + k,), are the residual's coordinates, `common`, shape (h' + k, q), those of the
+        columns of `overlap`. The coordinates are any with the same products.
         """
-        own = restriction.select(self.directions[self.place[rows[restriction.inside]]])
-        along = self.along - lost[restriction.coordinates] @ own
+        numbers, own = left_out.select(self.directions, self.place)
+        along = self.along - lost[numbers] @ own
         if not len(self.overlap):
             return own, along
         # A direction's coordinates are `own` less `common @ overlap`, of which a triangle says enough where
         # `own` is zero.
-        own -= common[restriction.coordinates] @ self.overlap
-        beyond = np.linalg.qr(np.delete(common, restriction.coordinates, axis=0), mode="r")
+        own -= common[numbers] @ self.overlap
+        beyond = np.linalg.qr(np.delete(common, numbers, axis=0), mode="r")
         return np.concatenate([own, beyond @ self.overlap]), along + (lost @ common) @ self.overlap
 
 
@@ -304,9 +298,11 @@ class Look:
                 blocks.append(
                     _Blocks(place, np.sqrt(np.stack(shares)), np.array(owners), np.array(least_of)[:, None])
                 )
-            joined, place_of = np.concatenate(directions, axis=1), np.full(n, -1)
+            joined, place_of = np.zeros((len(rows) + 1, last)), np.full(n, -1)
+            np.concatenate(directions, axis=1, out=joined[:-1])
             place_of[rows] = np.arange(len(rows))
-            along, overlap = self.misfit.residual[rows] @ joined, np.asarray(self.basis[rows].T @ joined)
+            along = self.misfit.residual[rows] @ joined[:-1]
+            overlap = np.asarray(self.basis[rows].T @ joined[:-1])
             stacks.append(_Stack(place_of, joined, along, overlap, tuple(blocks)))
         reach = [np.abs(one.overlap).max(axis=1) > MIN_OVERLAP for one in stacks]
         common = np.flatnonzero(np.any(reach, axis=0))
@@ -349,8 +345,7 @@ class Look:
         common = left_out.coordinates(self.basis[rows][:, columns].toarray())
         of_width: dict[int, list[tuple[_Blocks, Array, Array]]] = {}
         for stack in stacks:
-            restriction = left_out.restrict(np.flatnonzero(stack.place[rows] >= 0))
-            coordinates, along = stack.without(restriction, rows, lost, common)
+            coordinates, along = stack.without(left_out, lost, common)
             for blocks in stack.blocks:
                 part = blocks, coordinates[:, blocks.columns], along[blocks.columns]
                 of_width.setdefault(blocks.root_share.shape[1], []).append(part)

@@ -33,7 +33,7 @@ from stickslip_fit.diagnosis.cross_validation import (
     select_from_training,
 )
 from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo
-from stickslip_fit.diagnosis.gain import FOLD_SEED, estimate_gain, select_in_fold
+from stickslip_fit.diagnosis.gain import FOLD_SEED, estimate_gains, select_in_fold
 from stickslip_fit.diagnosis.hypotheses import compute_changes
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit, split_positions
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
@@ -79,10 +79,10 @@ def measure_table_gain(
         folds = hold_out_kinds(selection, linearized, kinds, labels)
         if not folds:
             return None
-        gain, own = estimate_gain(
+        [(gain, own)] = estimate_gains(
             selection,
             findings,
-            folds,
+            [folds],
             partial(select_in_fold, alpha=alpha),
             alpha=alpha,
             seed=seed,

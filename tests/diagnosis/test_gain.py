@@ -26,7 +26,7 @@ from stickslip_fit.diagnosis.cross_validation import (
 from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.extension import SelectedCause, assess_residuals, extend_problem
 from stickslip_fit.diagnosis.gain import (
-    estimate_gain,
+    estimate_gains,
     hold_out_configurations,
     number_session_configurations,
     select_in_fold,
@@ -40,7 +40,7 @@ from stickslip_fit.diagnosis.gain_interval import (
     predict_extension,
     prepare_calibration,
     prepare_split,
-    simulate_gain_interval,
+    simulate_gain_intervals,
     simulate_selection,
 )
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
@@ -82,7 +82,9 @@ def splits_of(selection):
 def measured(problem, workers=1, selector=SELECT, alpha=ALPHA):
     selection = select_causes(problem, alpha, N_BOOTSTRAP, np.random.default_rng(0))
     found = size_findings(selection, problem, alpha) if selection.p_value < alpha else ()
-    whole, _ = estimate_gain(selection, found, splits_of(selection), selector, alpha=alpha, workers=workers)
+    [(whole, _)] = estimate_gains(
+        selection, found, [splits_of(selection)], selector, alpha=alpha, workers=workers
+    )
     return whole, selection
 
 
@@ -255,7 +257,8 @@ def test_the_number_of_processes_makes_no_difference(problem, monkeypatch):
     selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
     found, splits = size_findings(selection, own_problem, ALPHA), splits_of(selection)[:4]
     one, two = (
-        estimate_gain(selection, found, splits, SELECT, alpha=ALPHA, workers=workers)[0] for workers in (1, 2)
+        estimate_gains(selection, found, [splits], SELECT, alpha=ALPHA, workers=workers)[0][0]
+        for workers in (1, 2)
     )
     assert (one.baseline, one.extended, one.low, one.high) == (two.baseline, two.extended, two.low, two.high)
 
@@ -265,7 +268,7 @@ def test_each_finding_gains_its_step_and_steps_add_up(problem):
     selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
     found = size_findings(selection, own_problem, ALPHA)
     splits = splits_of(selection)[:1]
-    whole, own = estimate_gain(selection, found, splits, SELECT, alpha=ALPHA, workers=1)
+    [(whole, own)] = estimate_gains(selection, found, [splits], SELECT, alpha=ALPHA, workers=1)
     assert {each.cause for each in own} >= {"drift", "end-stop-latency"}
     assert own[0].gain.baseline == whole.baseline
     assert own[-1].gain.extended == whole.extended
@@ -286,7 +289,7 @@ def test_rows_on_which_the_laws_alone_stall_say_nothing_of_a_cause(problem):
         errors[0, :2], errors[-1, 1:3] = np.nan, np.nan
         return errors
 
-    whole, own = estimate_gain(selection, found, splits, SELECT, alpha=ALPHA, confirm=predicted)
+    [(whole, own)] = estimate_gains(selection, found, [splits], SELECT, alpha=ALPHA, confirm=predicted)
     n = sum(len(split.held_out) - 2 for split in splits)
     assert whole.by_session["traverses"].sum() == n
     assert whole.stalled == 2 * len(splits)
@@ -370,7 +373,7 @@ def above_zero(problem, seeds):
         own_problem = problem(hide("session", seed=seed, noise=("gaussian", "t5", "uneven")[seed % 3]))
         selection = forced(own_problem, _rng())
         found = size_findings(selection, own_problem, 2.0)
-        whole, _ = estimate_gain(selection, found, splits_of(selection), forced, alpha=2.0, workers=1)
+        [(whole, _)] = estimate_gains(selection, found, [splits_of(selection)], forced, alpha=2.0, workers=1)
         above.append(whole.low > 0)
     return np.array(above)
 
@@ -484,6 +487,6 @@ def test_a_replicate_may_gain_nothing_where_a_rival_is_as_likely(ahead, reaches)
     folds = [np.arange(k, n, 10) for k in range(10)]
     splits = [Split(*[np.setdiff1d(np.arange(n), fold)] * 2, fold) for fold in folds]
     before = np.sqrt(1.0 + strength**2 / n)
-    low, high = simulate_gain_interval(campaign, splits, np.array([before, 1.0]), _rng(), 600)[:, -1]
+    low, high = simulate_gain_intervals(campaign, [splits], np.array([[before, 1.0]]), _rng(), 600)[0, :, -1]
     assert low < before - 1.0 < high
     assert (low < 0.1 * (before - 1.0)) == reaches
