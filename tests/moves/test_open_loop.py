@@ -145,7 +145,10 @@ def test_a_move_hears_no_stop():
     )
     for calibration in (
         {group: step_model_from_parameters(laws[group[0]], late[group]) for group in GROUPS},
-        {g: step_model_from_parameters(FixedCauseLaw(LAWS[g[0]], causes, [50.0]), VALUES[g]) for g in GROUPS},
+        {
+            g: step_model_from_parameters(FixedCauseLaw(LAWS[g[0]], causes, np.array([50.0])), VALUES[g])
+            for g in GROUPS
+        },
     ):
         assert np.array_equal(plan_steps(paths, calibration, ("Monday",), {}), steps)
 

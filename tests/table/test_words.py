@@ -31,7 +31,7 @@ def test_a_frame_is_called_by_its_response(independent):
     [
         (lambda day: 3 * (1 - np.exp(-day / 100)), r"a time constant of 9\d\.\d days", "tau"),
         (lambda day: 0.01 * day, r"rises steadily, by 0\.01\d* mm/day|by 0\.009\d* mm/day", "k"),
-        (lambda day: 2.0 * (day > 250), r"25\d days after the first row", "moment"),
+        (lambda day: 2.0 * (day > 250), r"25\d\.\d days after the first row", "moment"),
     ],
 )
 def test_times_of_dates_are_given_by_their_size(course, said, parameter):
