@@ -24,6 +24,7 @@ from stickslip_fit.estimation.identifiability import identifiable_parameters
 from stickslip_fit.estimation.noise import configuration_columns
 from stickslip_fit.estimation.with_causes import FixedCauseLaw, FixedCauses
 from stickslip_fit.laws import StepLaw
+from stickslip_fit.laws.base import Model
 from stickslip_fit.logs.plan import Timing
 from stickslip_fit.machine import Machine
 
@@ -345,17 +346,18 @@ def solve_together(fits: Sequence[LawFit]) -> list[LawEstimate]:
 def _solve_family(fits: Sequence[LawFit]) -> LawSolution:
     """Fits whose laws differ in the sizes of fixed causes only."""
     law, number = fits[0].law, np.repeat(np.arange(len(fits)), [len(fit.measured) for fit in fits])
-    # A number in place of the session makes each fit a group of its own.
-    rows = pd.concat([fit.measured for fit in fits]).assign(session=number)
-    problem = single_problem(law, rows, DEFAULT_OPTIONS)
-    if isinstance(law, FixedCauseLaw):
-        published, causes = law.law, law.extended.causes
-        sizes = np.array([fit.law.sizes for fit in fits if isinstance(fit.law, FixedCauseLaw)])[number]
-        problem = replace(
-            problem,
-            model=FixedCauseLaw(published, causes, sizes).model(rows),
-            subset=lambda some: FixedCauseLaw(published, causes, sizes[some]).model(rows.iloc[some]),
-        )
+    rows = pd.concat([fit.measured for fit in fits])
+    # A number in place of the session makes each fit a group of its own; causes may act in a session by name.
+    problem = single_problem(law, rows.assign(session=number), DEFAULT_OPTIONS)
+    sizes = np.array([fit.law.sizes for fit in fits if isinstance(fit.law, FixedCauseLaw)])
+
+    def model(some: IntArray) -> Model:
+        own = law
+        if isinstance(law, FixedCauseLaw):
+            own = FixedCauseLaw(law.law, law.extended.causes, sizes[number[some]])
+        return own.model(rows.iloc[some])
+
+    problem = replace(problem, model=model(np.arange(len(rows))), subset=model)
     return _solve(problem, np.array([fit.repeatability for fit in fits])[number])
 
 

@@ -11,6 +11,7 @@ import pytest
 from stickslip_fit import estimation as fit
 from stickslip_fit.bayes import fit_bayes
 from stickslip_fit.causes import library
+from stickslip_fit.causes.temporal import SessionJump
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.with_causes import FixedCauseLaw
 from stickslip_fit.logs import read_log
@@ -120,15 +121,19 @@ def test_fits_solved_together_are_those_solved_one_by_one(warm, monkeypatch):
     """Of two joints, both directions, few and many traverses, with and without a cause of several sizes."""
     cause = next(each for each in library() if each.name == "temperature")
     causes, fits = (cause.bind(warm.usable, warm.machine),), []
+    jump = (SessionJump(session=warm.usable["session"].iloc[0]),)
     for number, trial in enumerate(make_cases(warm, other_sessions)):
         law, many = trial.task.law, trial.task.others
         few = trial.rows.iloc[IOptimal().pick(trial.task, len(law.parameters) + 1)]
         fits += [LawFit(law, few, 0.003), LawFit(law, many, 0.01)]
         for rows, size in ((few, 0.002 * number), (many, -0.001 * number)):
             fits.append(LawFit(FixedCauseLaw(law, causes, np.array([size])), rows, 0.003))
+        middle = float(few["session_seconds"].median())
+        fits.append(LawFit(FixedCauseLaw(law, jump, np.array([0.03, middle])), few, 0.003))
     monkeypatch.setattr("stickslip_fit.estimation._optimize.MIN_ROWS", 0)  # slow fits go on alone
     for one, found in zip(fits, solve_together(fits), strict=True):
-        alone = solve_law(one.law, one.measured.assign(session="one"), one.repeatability)
+        rows = one.measured if one.measured["session"].nunique() == 1 else one.measured.assign(session="one")
+        alone = solve_law(one.law, rows, one.repeatability)
         assert found.values == pytest.approx(alone.values[0], rel=1e-6)
         assert found.covariance == pytest.approx(alone.covariance[0], rel=1e-5)
         assert found.known.tolist() == alone.known[0].tolist()
