@@ -396,7 +396,7 @@ class ExtendedLaw(StepLaw):
         slopes[: len(self.law.parameters)] = np.moveaxis(by_law * factor[..., None], -1, 0)
         for columns, by_factor in self._factor_slopes(true, values):
             slopes[columns.start : columns.stop] = before * by_factor
-        for k in (k for _, columns in self.by_stage[StateCause] for k in columns if self.affects_joint[k]):
+        for k in (k for _, columns in self.by_stage[StateCause] for k in columns if self._has_slope(k)):
             slopes[k] = self.difference(lambda shifted: self.gamma(state, shifted), values, k)
         return np.stack(np.broadcast_arrays(*slopes), axis=-1)
 
@@ -424,6 +424,10 @@ class ExtendedLaw(StepLaw):
         """What each term has as the law's step size without load."""
         law_values = values[:, : len(self.law.parameters)]
         return [self.law.gamma(cause.unload(true), law_values) for cause, _ in self.by_stage[TermCause]]
+
+    def _has_slope(self, k: int) -> bool:
+        """Whether cause parameter `k` acts on this joint, and not as the moment of a sudden change."""
+        return bool(self.affects_joint[k]) and not self.cause_parameters[k - len(self.law.parameters)].sudden
 
     def _factor(self, true: State, values: Array) -> Array:
         factor = np.ones((len(values), 1))
