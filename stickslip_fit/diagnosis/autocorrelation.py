@@ -171,19 +171,16 @@ def partial_autocorrelations(coefficients: Array) -> Array:
     return partial
 
 
-def predictors(partial: Array) -> list[Array]:
-    """Coefficients of the best prediction from the 0, 1, ... p values before.
+def predict_from_partials(partial: Array) -> Array:
+    """Coefficients of the best prediction from the p values before, shape (p,).
 
     Examples
     --------
-    >>> [one.round(2).tolist() for one in predictors(np.array([0.5, -0.2]))]
-    [[], [0.5], [0.6, -0.2]]
+    >>> predict_from_partials(np.array([0.5, -0.2])).round(2)
+    array([ 0.6, -0.2])
     """
-    rows = [np.zeros(0)]
-    for last in partial:
-        before = rows[-1]
-        rows.append(np.append(before - last * before[::-1], last))
-    return rows
+    last = filter_tables(partial[None])[0, -1]
+    return np.asarray(-last[1:] / last[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +255,7 @@ def estimate_autoregression(linearized: LinearizedFit, effects: Array, sample: I
             without_gain += 1
         if without_gain == MAX_WITHOUT_GAIN:
             break
-    return predictors(found)[-1]
+    return predict_from_partials(found)
 
 
 def find_shock(linearized: LinearizedFit, effects: Array, noise: Autocorrelation) -> Array | None:

@@ -16,7 +16,6 @@ import pandas as pd
 
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.causes.table_cause import ExtendedTableLaw
 from stickslip_fit.diagnosis.autocorrelation import variance_over_innovations
 from stickslip_fit.diagnosis.cross_validation import (
     Selector,
@@ -33,14 +32,13 @@ from stickslip_fit.diagnosis.gain_interval import (
     LinearizedCampaign,
     Recolouring,
     keep_columns,
-    log_likelihood_ratio,
     prepare_calibration,
     simulate_gain_intervals,
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes
 from stickslip_fit.diagnosis.leave_out import prepare_looks
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE
-from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, detection_length
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, detection_length, log_likelihood_ratio
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import (
     Selection,
@@ -120,6 +118,7 @@ def estimate_gains(
     compute_errors: HeldOutErrors = compute_held_out_errors,
     confirm: Callable[..., Array | None] | None = None,
     recolour: Recolouring = keep_columns,
+    beyond: Callable[[Sequence[Finding], Split], Array] | None = None,
 ) -> list[tuple[Gain, tuple[Finding, ...]]]:
     """Repeat the selection in each split, and compare its predictions of the held-out rows.
 
@@ -147,6 +146,8 @@ def estimate_gains(
         From a split and findings to the same errors, or None where the selection has to be repeated.
     recolour : callable, optional
         Of `LinearizedCampaign`.
+    beyond : callable, optional
+        From findings and a split to what `simulate_gain_intervals` has of it.
 
     Returns
     -------
@@ -169,8 +170,8 @@ def estimate_gains(
         rms, rng = [np.sqrt(np.mean(own**2, axis=1)) for _, own in held_out], np.random.default_rng([seed, 1])
         campaign = replace(_linearize_campaign(selection, extending, alpha), recolour=recolour)
         kept = [splits for splits, _ in held_out]
-        beyond = [[_slopes_beyond(selection, extending, split) for split in splits] for splits in kept]
-        limits = simulate_gain_intervals(campaign, kept, np.stack(rms), rng, beyond=beyond)
+        less = [[beyond(extending, split) for split in splits] for splits in kept] if beyond else None
+        limits = simulate_gain_intervals(campaign, kept, np.stack(rms), rng, beyond=less)
     else:
         held_out = [(splits, _baseline_errors(selection, splits, recolour)[None]) for splits in sets]
         limits = np.zeros((len(sets), 2, 1))
@@ -351,26 +352,6 @@ def _linearize_campaign(
             for one, effect in zip(selected, linearized.project(effects).T, strict=True)
         ),
     )
-
-
-def _slopes_beyond(selection: Selection, findings: Sequence[Finding], split: Split) -> Array:
-    """What slopes of causes are less in held-out rows, beyond what the training rows show; shape (h, q).
-
-    In units of each row's noise. A row far out in a column would else be predicted by a curve that bends
-    away from all others, which `compute_table_errors` does not do either.
-    """
-    problem, shared = selection.problem, len(selection.fit.values)
-    less = np.zeros((len(problem), shared))
-    training = problem.rows.drop(index=problem.rows.index[split.held_out])
-    for part in selection.fit.parts:
-        inside = np.isin(part.rows, split.held_out)
-        if inside.any() and isinstance(part.law, ExtendedTableLaw):
-            rows, values = problem.rows.iloc[part.rows[inside]], part.values[inside]
-            change = part.law.jacobian(rows, values) - part.law.fitted_to(training).jacobian(rows, values)
-            less[part.rows[inside]] = change[:, -shared:]
-    places = [selection.place_of(selection.behind(finding).version) for finding in findings]
-    own = np.concatenate([np.arange(shared)[place] for place in places])
-    return less[np.ix_(split.held_out, own)] / problem.scale[split.held_out, None]
 
 
 def _collect_competitors(selected: SelectedCause, effect: Array, df: int) -> CompetingCauses:

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.cross_validation import Split
+from stickslip_fit.diagnosis.misfit import log_likelihood_ratio
 
 Recolouring = Callable[[Array], Array]
 """From whitened columns, shape (n, m), to those in units of the noise of each row, correlated again."""
@@ -451,11 +451,6 @@ def simulate_selection(
     best = np.argmax(evidence, axis=1)
     detected = np.take_along_axis(length, best[:, None], axis=1)[:, 0] > campaign.thresholds[cause]
     return np.where(detected & np.append(True, rivals.is_known)[best], best, NONE_FOUND)
-
-
-def log_likelihood_ratio(explained: npt.ArrayLike, df: int) -> Array:
-    """Maximum log likelihood ratio of an effect that explains a share of the squares, noise size unknown."""
-    return -0.5 * df * np.log1p(-np.minimum(explained, 1.0 - 1e-12))
 
 
 def _extension_columns(campaign: LinearizedCampaign, result: IntArray) -> tuple[IntArray, Array]:

@@ -292,7 +292,7 @@ class Misfit:
         assert isinstance(shape, Hypothesis)
         explained = float(np.sum(shape.coefficients(self.residual) ** 2) / (self.residual @ self.residual))
         price = 0.5 * len(shape.prior_share) * np.log(n)
-        return float(-0.5 * n * np.log1p(-min(explained, MAX_EXPLAINED)) - price)
+        return float(log_likelihood_ratio(explained, n)) - price
 
     @cached_property
     def _places(self) -> dict[str, list[int]]:
@@ -483,6 +483,11 @@ def weigh_hypotheses(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[st
             for family, cause in zip(families, causes, strict=True)
         ]
     )
+
+
+def log_likelihood_ratio(explained: npt.ArrayLike, df: int) -> Array:
+    """Maximum log likelihood ratio of an effect that explains a share of the squares, noise size unknown."""
+    return -0.5 * df * np.log1p(-np.minimum(explained, MAX_EXPLAINED))
 
 
 def detection_length(critical: float, n_shapes: int, df: int) -> float:

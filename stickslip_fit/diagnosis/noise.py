@@ -19,7 +19,7 @@ from scipy.special import digamma, polygamma, softmax, stdtrit
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
-from stickslip_fit.diagnosis.misfit import MAX_EXPLAINED, StructureRemoved
+from stickslip_fit.diagnosis.misfit import TAIL_DF, StructureRemoved, log_likelihood_ratio
 from stickslip_fit.diagnosis.noise_shape import Skewness, fit_skewness
 from stickslip_fit.diagnosis.unevenness import (
     Unevenness,
@@ -47,7 +47,6 @@ MIN_CELL_ROWS, CLIP_SD = 3, 3.0  # rows whose mean is subtracted; clipping of re
 MIN_UNEVEN_LOG_ODDS = 3.0  # nats over structure, where residuals show either
 CLEAR_MEAN = 3.0  # standard errors of a mean that is no noise
 # Outliers
-TAIL_DF = (5.0, 8.0, 15.0, 200.0)  # of Student t noise
 TAIL_PRIOR = dict(zip(TAIL_DF, (0.5, 0.25, 0.15, 0.1), strict=True))  # heavy tails are the rule
 MIN_TAIL_PROBABILITY = 1e-4  # of a df; noise of a less likely one is not simulated
 MAX_EXCEEDANCES, BATCH_SIZE = 40, 500  # simulated logs above the statistic, after which none is added
@@ -374,7 +373,7 @@ def explains_more(linearized: LinearizedFit, log_evidence: float) -> bool:
     traces, residual = linearized.noise_filter, linearized.residual
     squares = np.asarray((traces**2).sum(axis=0)).ravel()
     explained = float(np.max((traces.T @ residual) ** 2 / squares)) / float(residual @ residual)
-    log_ratio = -0.5 * linearized.df * float(np.log1p(-min(explained, MAX_EXPLAINED)))
+    log_ratio = float(log_likelihood_ratio(explained, linearized.df))
     return log_ratio - np.log(len(linearized)) > log_evidence
 
 

@@ -90,6 +90,7 @@ def measure_table_gain(
             progress=lambda done, number: progress("predicting held-out rows", 0.2 + 0.7 * done / number),
             compute_errors=compute_table_errors,
             recolour=linearized.recolour,
+            beyond=partial(slopes_beyond, selection),
         )
         named = [
             replace(finding, gain=finding.gain and _describe(finding.gain, held_out, order))
@@ -110,6 +111,26 @@ def measure_table_gain(
         new_session = estimate(sessions, "whole sessions")
     gain, own = measured or (None, findings)
     return gain, new_session[0] if new_session else None, own
+
+
+def slopes_beyond(selection: Selection, findings: Sequence[Finding], split: Split) -> Array:
+    """What slopes of causes are less in held-out rows, beyond what the training rows show; shape (h, q).
+
+    In units of each row's noise. A row far out in a column would else be predicted by a curve that bends
+    away from all others, which `compute_table_errors` does not do.
+    """
+    problem, shared = selection.problem, len(selection.fit.values)
+    less = np.zeros((len(problem), shared))
+    training = problem.rows.drop(index=problem.rows.index[split.held_out])
+    for part in selection.fit.parts:
+        inside = np.isin(part.rows, split.held_out)
+        if inside.any() and isinstance(part.law, ExtendedTableLaw):
+            rows, values = problem.rows.iloc[part.rows[inside]], part.values[inside]
+            change = part.law.jacobian(rows, values) - part.law.fitted_to(training).jacobian(rows, values)
+            less[part.rows[inside]] = change[:, -shared:]
+    places = [selection.place_of(selection.behind(finding).version) for finding in findings]
+    own = np.concatenate([np.arange(shared)[place] for place in places])
+    return less[np.ix_(split.held_out, own)] / problem.scale[split.held_out, None]
 
 
 def _describe(gain: Gain, held_out: str, sessions: Sequence[str]) -> Gain:

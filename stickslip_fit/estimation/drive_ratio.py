@@ -148,8 +148,7 @@ def physical_law(joint: int, rows: Rows, machine: Machine) -> StepLaw:
     StepLaw
     """
     profiles = profile_ratio(joint, pd.DataFrame(rows), machine) if len(rows) else {}
-    ratios = [profiles[way].best if way in profiles else FRICTION_LIMITED for way in "+-"]
-    law = physical_law_with(joint, rows, machine, (ratios[0], ratios[1]))
+    law = likeliest_law(joint, rows, machine, profiles)
     up, down = (profiles[way].others if way in profiles else () for way in "+-")
     law.plausible = up, down
     regimes = {}
@@ -161,6 +160,12 @@ def physical_law(joint: int, rows: Rows, machine: Machine) -> StepLaw:
             regimes[regime] = up_in, down_in
     law.regimes = regimes
     return law
+
+
+def likeliest_law(joint: int, rows: Rows, machine: Machine, profiles: Mapping[str, RatioProfile]) -> Physical:
+    """With the likeliest lambda of each direction; friction-limited in one that has no profile."""
+    up, down = (profiles[way].best if way in profiles else FRICTION_LIMITED for way in "+-")
+    return physical_law_with(joint, rows, machine, (up, down))
 
 
 def ratio_changes(law: object, rows: pd.DataFrame, machine: Machine) -> list[tuple[IntArray, Array]]:

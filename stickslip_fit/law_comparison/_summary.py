@@ -104,7 +104,7 @@ def _errors(comparison: LawComparison) -> Table:
         for one in comparison.joints
     )
     note = (
-        "Rms error of counts in configurations left out one at a time, or, where there are more, in "
+        f"Rms error of counts in configurations left out one at a time, or, of more than {MAX_PARTS}, in "
         f"{MAX_PARTS} parts; with its interval of 95 %."
     )
     return Table("Errors on configurations left out", columns, rows, stubs=1, note=note)

@@ -20,14 +20,14 @@ from stickslip_fit._summary import Summarized
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import JointFit
 from stickslip_fit.estimation._optimize import usable_rows
-from stickslip_fit.estimation.drive_ratio import RatioProfile, profile_ratio
+from stickslip_fit.estimation.drive_ratio import RatioProfile, likeliest_law, profile_ratio
 from stickslip_fit.estimation.least_squares import fit_joint
 from stickslip_fit.estimation.noise import estimate_from_replicates
 from stickslip_fit.estimation.result import Provenance, build_provenance
 from stickslip_fit.law_comparison.experiments import Experiment, list_experiments
 from stickslip_fit.law_comparison.held_out import HeldOutComparison, compare_held_out
 from stickslip_fit.laws import FRICTION_LIMITED, published_law
-from stickslip_fit.laws.physical import Physical, physical_law_with
+from stickslip_fit.laws.physical import Physical
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import PRISMATIC
@@ -201,8 +201,7 @@ def _compare_joint(joint: int, rows: pd.DataFrame, machine: Machine) -> JointCom
     noise = estimate_from_replicates(published_law(joint, rows, machine), rows)
     known = [level for level in noise.values() if level.df >= MIN_DF]
     scatter = float(np.sqrt(np.mean([level.value**2 for level in known]))) if known else np.nan
-    best = [profiles[way].best if way in profiles else FRICTION_LIMITED for way in "+-"]
-    law = physical_law_with(joint, rows, machine, (best[0], best[1]))
+    law = likeliest_law(joint, rows, machine, profiles)
     fit = fit_joint(law, rows, machine)[0]
     regimes = tuple(_regime(law, fit, way, profile) for way, profile in sorted(profiles.items()))
     is_open = not errors.better or any(regime.name == "cannot tell" for regime in regimes)

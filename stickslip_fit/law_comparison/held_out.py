@@ -21,10 +21,9 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.bayes.pooling import Pooling
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
-from stickslip_fit.estimation.drive_ratio import RatioProfile, profile_ratio
+from stickslip_fit.estimation.drive_ratio import RatioProfile, likeliest_law, profile_ratio
 from stickslip_fit.estimation.identifiability import identifiable_parameters
 from stickslip_fit.laws import FRICTION_LIMITED, StepLaw, published_law
-from stickslip_fit.laws.physical import physical_law_with
 from stickslip_fit.logs.log import number_configurations
 from stickslip_fit.machine import Machine
 
@@ -90,7 +89,7 @@ def compare_held_out(
     published = published_law(joint, rows, machine)
     configuration = number_configurations(rows, published.features(rows))
     candidates = _candidates(profiles)
-    pools = [_pool(law, rows) for law in (published, _physical(joint, rows, machine, profiles))]
+    pools = [_pool(law, rows) for law in (published, likeliest_law(joint, rows, machine, profiles))]
     errors = np.full((2, len(rows)), np.nan)
     number = int(configuration.max()) + 1
     part_of = np.random.default_rng(0).permutation(number) % MAX_PARTS
@@ -102,7 +101,7 @@ def compare_held_out(
         found = profiles
         if configuration.max() < MANY:
             found = profile_ratio(joint, training, machine, candidates, 0)
-        physical = _physical(joint, rows, machine, found)
+        physical = likeliest_law(joint, rows, machine, found)
         for k, law in enumerate((published, physical)):
             errors[k, out] = predict_held_out(law, training, test, pools[k])
     usable = np.all(np.isfinite(errors), axis=0)
@@ -145,18 +144,10 @@ def _draw_together(
     """Parameters of each session and direction of a table, those of pooled directions drawn together."""
     values = values.copy()
     for direction, pool in pools.items():
-        own = (table["direction"] == direction).to_numpy()
-        pooled = pool.fit(law, rows[rows["direction"] == direction])
-        values[own] = pooled.loc[table["session"][own]]
+        if (own := (table["direction"] == direction).to_numpy()).any():
+            pooled = pool.fit(law, rows[rows["direction"] == direction])
+            values[own] = pooled.loc[table["session"][own]]
     return values
-
-
-def _physical(
-    joint: int, rows: pd.DataFrame, machine: Machine, profiles: Mapping[str, RatioProfile]
-) -> StepLaw:
-    """With the likeliest lambda of each direction."""
-    best = [profiles[way].best if way in profiles else FRICTION_LIMITED for way in "+-"]
-    return physical_law_with(joint, rows, machine, (best[0], best[1]))
 
 
 def _candidates(profiles: Mapping[str, RatioProfile]) -> list[float]:

@@ -58,6 +58,27 @@ def test_friction_limited_logs_are_predicted_as_well_as_they_repeat(design, seed
         assert low < true_share(hidden, regime.direction) < high
 
 
+def test_of_many_configurations_several_are_left_out_at_a_time(monkeypatch, tmp_path):
+    log = read(drive_stage("session", Stage("friction", None), seed=3), tmp_path, guide)
+    (one_by_one,) = compare_laws(log).joints
+    monkeypatch.setattr("stickslip_fit.law_comparison.held_out.MAX_PARTS", 6)
+    (in_parts,) = compare_laws(log).joints
+    assert in_parts.errors.traverses == one_by_one.errors.traverses
+    assert in_parts.errors.physical.rms != one_by_one.errors.physical.rms
+    assert in_parts.errors.physical.rms == pytest.approx(one_by_one.errors.physical.rms, rel=0.3)
+
+
+def test_a_direction_of_one_configuration_is_left_out_with_it(tmp_path):
+    def one_way(table):
+        back, place = table["direction"] == "-", table[["q2_deg", "theta_deg", "psi_deg"]]
+        same = (place == place[guide(table) & back].iloc[0]).all(axis=1)
+        return guide(table) & (~back | same)
+
+    log = read(drive_stage("thesis", Stage("friction", None), seed=4), tmp_path, one_way)
+    (joint,) = compare_laws(log).joints
+    assert 0 < joint.errors.traverses <= (log.usable["direction"] == "+").sum()
+
+
 @pytest.mark.parametrize("logs", [3, pytest.param(500, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(("regime", "named"), [("friction", 0.9), ("velocity", 0.7)])
 def test_the_regime_is_right_and_r_in_its_interval_whatever_the_friction(regime, named, logs):

@@ -13,7 +13,7 @@ from stickslip_fit.diagnosis.autocorrelation import (
     FilterPattern,
     number_samples,
     partial_autocorrelations,
-    predictors,
+    predict_from_partials,
 )
 from stickslip_fit.diagnosis.restricted_likelihood import RestrictedLikelihood
 from stickslip_fit.diagnosis.table import problem_from_table
@@ -44,7 +44,7 @@ def test_a_removed_row_ends_a_sequence():
 
 def test_coefficients_and_partial_autocorrelations_are_two_ways_to_say_the_same():
     partial = np.array([0.9, -0.5, 0.2])
-    np.testing.assert_allclose(partial_autocorrelations(predictors(partial)[-1]), partial)
+    np.testing.assert_allclose(partial_autocorrelations(predict_from_partials(partial)), partial)
     pattern = FilterPattern.of(np.r_[0:9, 12:20], 3)
     _, log_determinant = np.linalg.slogdet(pattern.fill(partial).toarray())
     assert pattern.log_determinant(partial) == pytest.approx(log_determinant)
