@@ -215,10 +215,6 @@ def _rate(share: float) -> str:
     return f"{100 * share:g} %"
 
 
-def _percent(share: float) -> str:
-    return format_percent(share, with_unit=False, signed=True)
-
-
 def _describe_sessions(sessions: tuple[str, ...]) -> str:
     if len(sessions) == 1:
         return f"session {sessions[0]}"

@@ -178,11 +178,15 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
     if hint := describe_excess_scatter(log, result):
         summary = replace(summary, headline=(hint, *summary.headline))
     if options.profile:
-        from stickslip_fit.estimation._summary import profile_section
+        from stickslip_fit.estimation._summary import describe_profile, profile_section
         from stickslip_fit.estimation.least_squares import profile_intervals
 
-        profile = profile_section(profile_intervals(log, result))
-        summary = replace(summary, sections=(*summary.sections, profile))
+        profile = profile_intervals(log, result)
+        summary = replace(
+            summary,
+            headline=(describe_profile(profile), *summary.headline),
+            sections=(*summary.sections, profile_section(profile)),
+        )
     return Estimate(result, summary, comparable=comparable)
 
 

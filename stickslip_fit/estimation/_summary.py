@@ -76,11 +76,15 @@ def _once(alike: list[Flag]) -> str:
     message = first.message if named else capitalize_first(first.message)
     if not others:
         return f"{message}."
-    names = [flag.session for flag in others]
+    plural = "session" if len(others) == 1 else "sessions"
+    return f"{message}. The same in {plural} {_join_some([flag.session for flag in others])}."
+
+
+def _join_some(names: list[str]) -> str:
+    """The first names, and how many there are besides."""
     if len(names) > MAX_NAMED:
         names = [*names[:MAX_NAMED], pluralize(len(names) - MAX_NAMED, "other")]
-    plural = "session" if len(others) == 1 else "sessions"
-    return f"{message}. The same in {plural} {join_words(names)}."
+    return join_words(names)
 
 
 def _parameters(result: Result, joint: int) -> Table:
@@ -199,6 +203,21 @@ def profile_section(table: pd.DataFrame) -> Section:
                 + (" *" if row.differs else "  "),
             )
         )
-    differ = "* The likelihood is asymmetric here: use the profile."
-    note = differ if known["differs"].any() else "They agree."
+    note = "* The likelihood is asymmetric here: use the profile." if known["differs"].any() else ""
     return Section(tables=(Table("Profile likelihood", columns, tuple(rows), stubs=3, note=note),))
+
+
+def describe_profile(table: pd.DataFrame) -> str:
+    """Whether the quadratic intervals may be used, from what `profile_intervals` gives."""
+    known = table[table["estimate"].notna() & table["profile_low"].notna()]
+    differ = known[known["differs"]]
+    if differ.empty:
+        return f"Profile likelihood: all {len(known):,} intervals of 95 % agree with the quadratic ones."
+    places = [
+        f"{row.name} of joint {row.joint} {format_direction(row.direction)} in {row.session}"
+        for row in differ.itertuples(index=False)
+    ]
+    return (
+        f"Profile likelihood: {len(differ):,} of {len(known):,} intervals of 95 % differ from the quadratic "
+        f"ones ({_join_some(places)}); use the profile there."
+    )

@@ -4,9 +4,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.optimize import least_squares as scipy_least_squares
+from scipy.stats import t
+from typer.testing import CliRunner
 
+from stickslip_fit.cli import app
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_least_squares
+from stickslip_fit.estimation.least_squares import profile_intervals
 
 
 @pytest.fixture(scope="module")
@@ -164,3 +168,44 @@ def test_joint_1_at_one_reach_has_constants(campaign, read_table):
     assert list(table.index) == ["gamma0_reach_0", "d_reach_0"]
     assert table.loc["gamma0_reach_0", "estimate"] * 1e6 == pytest.approx(97 - 0.05 * 37.5, rel=1e-4)
     assert table.loc["d_reach_0", "estimate"] * 1e6 == pytest.approx(-1.0 - 0.35 * 37.5, rel=1e-3)
+
+
+def test_profile_intervals_end_where_another_library_puts_them(campaign, read_table):
+    """Noise of 15 %, so that the likelihood is asymmetric: fixed at an end, the rest is fitted anew."""
+    written = campaign(repeatability=0.15, replicates=1, sessions=("2012-03-05",))
+    log = read_table(written[written["joint"] == 3])
+    fit = fit_least_squares(log)
+    table = profile_intervals(log, fit)
+    table = table[(table["joint"] == 3) & (table["direction"] == "+")].set_index("name")
+    rows = log.usable[(log.usable["joint"] == 3) & (log.usable["direction"] == "+")]
+    noise = fit.joints[3].repeatability["+"]
+    counts = rows["steps"].to_numpy() - 2.5
+    sigma = np.hypot(noise.value, 5 / np.sqrt(12) / counts)
+    recoil, load = np.abs(np.cos(rows["q2"])), np.cos(rows["psi"] - rows["q2"]) * np.cos(rows["theta"])
+
+    def misfit(p):
+        gamma = (1 - p[1] * recoil) * (p[0] - p[2] * load) * 1e-6
+        return (np.log(counts) - np.log(0.012 / gamma)) / sigma
+
+    def least(index, fixed):
+        others = scipy_least_squares(lambda p: misfit(np.insert(p, index, fixed)), np.delete(best.x, index))
+        return 2 * others.cost
+
+    best = scipy_least_squares(misfit, [1.0, 0.2, 0.0], xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    reach = t.ppf(0.975, noise.df)
+    half = reach * np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)))
+    for index, (name, unit) in enumerate((("a", 1e6), ("b", 1.0), ("c", 1e6))):
+        for end in ("profile_low", "profile_high"):
+            excess = least(index, table[end][name] * unit) - 2 * best.cost
+            assert np.sqrt(excess) == pytest.approx(reach, rel=1e-3)
+        ends = table.loc[name, ["profile_low", "profile_high"]].to_numpy(float) * unit
+        off = np.abs(ends - best.x[index] - [-half[index], half[index]]).max() / half[index]
+        assert table["differs"][name] == (off > 0.1)
+
+
+@pytest.mark.parametrize(("noise", "says"), [(0.15, "differ from the quadratic"), (0.002, "agree with the")])
+def test_who_asks_for_profile_intervals_reads_first_whether_they_differ(campaign, tmp_path, noise, says):
+    table = campaign(repeatability=noise, replicates=1, sessions=("2012-03-05",))
+    table[table["joint"] == 3].to_csv(tmp_path / "log.csv", index=False)
+    done = CliRunner().invoke(app, ["fit", str(tmp_path / "log.csv"), "--profile"])
+    assert says in " ".join(done.output.split("\n\n")[0].split())
