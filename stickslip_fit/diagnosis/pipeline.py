@@ -33,6 +33,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stickslip_fit._progress import ProgressCallback, ignore_progress
+from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.cause_set import cause_probabilities
 from stickslip_fit.diagnosis.effect_size import size_findings
@@ -66,6 +67,7 @@ GROSS_ALPHA_SHARE = 0.025  # of the false-alarm rate, for gross errors
 MAX_SEARCHES = 4  # each with fewer rows, or with rows that came back
 BOOTSTRAP_PER_ALARM = 20  # bootstrap samples for each expected false alarm
 OUTLIER_INCLUSION = 0.99
+NOISE_LEFT = 0.7  # of the noise, below which causes that were untestable in it are asked for again
 MAX_INCLUSION_WITHOUT_ALARM = 0.5  # of all causes together, where the misfit is not significant
 
 
@@ -171,7 +173,7 @@ def diagnose_problem(
         findings=findings,
         p_value=selection.p_value,
         misfit=_rms_left(search),
-        repeatability=np.nan if search.too_small else float(np.sqrt(np.mean(row_sd**2))),
+        repeatability=np.nan if search.too_small else _rms(row_sd),
         inclusion=_inclusion_probabilities(selection, search.problem, search.untestable, alpha),
         untestable=search.untestable,
         alpha=alpha,
@@ -189,7 +191,11 @@ def _rms_left(search: _Search) -> float:
     linearized, outliers = search.linearized, search.selection.outliers
     if len(outliers):
         linearized = search.problem.without_rows(outliers).linearize()
-    return float(np.sqrt(np.mean(linearized.unwhiten(linearized.residual) ** 2)))
+    return _rms(linearized.unwhiten(linearized.residual))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _noise_properties(selection: Selection, findings: tuple[Finding, ...]) -> tuple[str, ...]:
@@ -249,19 +255,41 @@ def _search(
         unable = find_untestable(problem, linearized)
         if next(iter(problem.alternatives(linearized)), None) is None:
             unable[UNKNOWN] = NO_ALTERNATIVE if is_log(linearized) else NO_COLUMN
-    untestable = {**missing, **unable}
-    testable = replace(
-        problem, causes=tuple(cause for cause in problem.causes if cause.name not in untestable)
-    )
-    if UNKNOWN in untestable and not any(cause.name != problem.outlier_cause for cause in testable.causes):
-        too_small = too_small or untestable[UNKNOWN]
+    testable = _without(problem, unable)
+    if UNKNOWN in unable and not any(cause.name != problem.outlier_cause for cause in testable.causes):
+        too_small = too_small or unable[UNKNOWN]
     selection = (
         empty_selection(testable) if too_small else select_causes(testable, alpha, bootstrap_size(alpha), rng)
     )
+    if shown := _testable_beside(selection, problem, linearized, unable):
+        unable = {cause: reason for cause, reason in unable.items() if cause not in shown}
+        testable = _without(problem, unable)
+        selection = select_causes(testable, alpha, bootstrap_size(alpha), rng)
     failed = dict.fromkeys(selection.failed, "it could not be fitted: with it the equations have no solution")
     trials = selection.first_misfit.failed
     failed |= {cause: NO_TRIALS for cause, (number, tried) in trials.items() if number == tried}
-    return _Search(selection, testable, linearized, {**untestable, **failed}, too_small)
+    return _Search(selection, testable, linearized, {**missing, **unable, **failed}, too_small)
+
+
+def _without(problem: DiagnosisProblem, names: Iterable[str]) -> DiagnosisProblem:
+    """The problem without some of its causes."""
+    return replace(problem, causes=tuple(cause for cause in problem.causes if cause.name not in names))
+
+
+def _testable_beside(
+    selection: Selection, problem: DiagnosisProblem, linearized: LinearizedFit, unable: Mapping[str, str]
+) -> set[str]:
+    """Causes, untestable in the noise of `problem`, that the log could show in the noise that is left.
+
+    Without replicates, whatever the law does not describe counts as noise until its cause is in the law.
+    """
+    left = selection.problem
+    if not selection.law_causes or _rms(left.scale) > NOISE_LEFT * _rms(linearized.scale):
+        return set()
+    asked = [cause.name for cause in problem.causes if unable.get(cause.name, NO_TRIALS) != NO_TRIALS]
+    others = [cause.name for cause in problem.causes if cause.name not in asked]
+    quieter = replace(_without(problem, others), repeatability=left.repeatability)
+    return {*asked} - find_untestable(quieter, quieter.linearize()).keys()
 
 
 def bootstrap_size(alpha: float) -> int:

@@ -86,8 +86,6 @@ class DiagnosisProblem:
         How many of the likeliest causes are refitted before one is named. Effects far above the noise are
         not linear in their parameters, and a cause that is tried at few sizes loses to another that happens
         to be tried at a better one.
-    max_unknown : int
-        How often structure without a name may be selected. Each time the search goes on, in every fold, too.
     trimmed : bool
         Whether rows with gross errors were set aside, chosen by the residuals.
     least_sd : float
@@ -118,7 +116,6 @@ class DiagnosisProblem:
     outlier_cause: str = "outliers"
     smooth_columns: Array = field(default_factory=lambda: np.zeros((0, 0)))
     n_refits: int = 0
-    max_unknown: int = 4
     trimmed: bool = False
     least_sd: float = MIN_SD
     spacing: Array | None = None
@@ -361,6 +358,5 @@ def problem_from_log(
         uncertain=tuple(uncertain),
         outlier_cause=min(outlier_causes, default=MISFIRE),
         n_refits=N_REFITS,
-        max_unknown=1,
     )
     return problem, missing

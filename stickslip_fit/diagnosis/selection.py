@@ -1,12 +1,12 @@
 """select_causes: forward selection of causes, and the set of causes that the data cannot separate.
 
 Order: estimate the noise, test for outlying counts, then test the residuals and add the best cause
-until the p-value is above its share of the false-alarm rate, or structure without a name was selected as
-often as the problem allows. Each cause is selected again with all others in the law, and at the end dropped
-if the law does as well without it. The p-value of the search is the smaller of those of outliers and
-misfit, each divided by its share of the rate (`misfit`). A cause set holds every cause with a log Bayes
-factor above -3 relative to the best. Causes whose largest plausible effect would not be detectable are
-untestable; logs with few traverses are not tested.
+until the p-value is above its share of the false-alarm rate, or structure without a name was selected for
+which there is no law, or one with many parameters of each session. Each cause is selected again with all
+others in the law, and at the end dropped if the law does as well without it. The p-value of the search is the
+smaller of those of outliers and misfit, each divided by its share of the rate (`misfit`). A cause set holds
+every cause with a log Bayes factor above -3 relative to the best. Causes whose largest plausible effect would
+not be detectable are untestable; logs with few traverses are not tested.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -55,6 +56,7 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
 
 MAX_CAUSES = 4
+MAX_OWN_PARAMETERS = 24  # of functions of sessions, beside which too little is left to tell causes by
 # Bootstrap samples above the statistic, after which a test ends: where a diagnosis's p-value is below its
 # share of the rate, at most 22 lie above, so that no decision depends on the rest.
 MAX_EXCEEDANCES = 50
@@ -189,7 +191,7 @@ def select_causes(
             if chosen[-1].version is None:
                 selected = chosen
                 break
-        ends = sum(one.cause == UNKNOWN for one in chosen) == problem.max_unknown
+        ends = following.cause == UNKNOWN and _is_large(chosen[-1].version)
         extension = refits.extensions.get(following.cause) or extend_problem(problem, chosen)
         if selected and following.cause != UNKNOWN:
             revised = revise_causes(extension[0], chosen)
@@ -229,6 +231,11 @@ def select_causes(
     if len(explained := explain_outliers(selection, every, outliers)):
         return select_causes(every, alpha, n_bootstrap, rng, np.union1d(trusted, explained))
     return selection
+
+
+def _is_large(version: Any) -> bool:
+    """Whether a law for structure without a name has so many parameters of sessions that a search ends."""
+    return bool(getattr(version, "sessions", ())) and len(version.parameters) > MAX_OWN_PARAMETERS
 
 
 def follows(selected: SelectedCause, carrier: str) -> bool:

@@ -3,9 +3,8 @@
 A smooth function or a short expression only comes near an effect that nobody has described. So the
 posterior distribution of the rms has three parts: the fit of what stands in the law; what the unstructured
 alternatives find in the residuals of that, a mixture over all of them, their strengths, and nothing at all,
-by their evidence; and what has none of their forms, of which replicates tell (`lack_of_fit`). The AR(1)
-coefficient is estimated by simulation, since projecting out the calibration parameters reduces the
-correlation of residuals.
+by their evidence; and what has none of their forms, of which replicates tell (`lack_of_fit`). Memory is
+measured by simulation, since projecting out the calibration parameters reduces the correlation of residuals.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ from stickslip_fit.diagnosis.misfit import (
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.units import Z_95, Interval
 
-AR1_GRID, LAG_GRID = np.arange(0.0, 0.96, 0.05), np.linspace(0.0, 4.0, 41)
+AR1_GRID, LAG_GRID = np.r_[np.arange(0.0, 0.96, 0.05), 0.98], np.linspace(0.0, 4.0, 41)
 N_SIMULATIONS = 200
 N_DRAWS = 2000  # of the posterior distribution of a size
 N_ALTERNATIVES = 40  # likeliest ones, of which the mixture is made
@@ -65,9 +64,7 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
     residual = linearized.residual if selected.version is None else misfit.residual
     shape = _shrink_structure(best, residual)
     if isinstance(best, AR1):
-        effect = estimate_ar1_effect(replace(linearized, residual=residual), best).times(
-            _rms(linearized.scale)
-        )
+        effect = estimate_ar1_effect(replace(linearized, residual=residual), best)
     else:
         effect = _size_structure(selection, replace(selected, cause=strongest), shape, alpha)
     size = np.abs(shape)
@@ -248,21 +245,24 @@ def _kept_shares(structure: Hypothesis, residual: Array) -> Array:
 
 
 def estimate_ar1_effect(linearized: LinearizedFit, ar1: AR1) -> Interval:
-    """Rms of what each residual keeps of the one before, in units of its innovation.
+    """Rms of what calibration leaves of what each row keeps of the one before.
 
-    Of `ar1` only the sign and the order of rows are used.
+    Of `ar1` only the sign and the order of rows are used. Its size is that of the residuals, times what it is
+    of them in simulations.
     """
     sign, noise = np.sign(ar1.coefficient), np.random.default_rng(0)
     innovations = noise.standard_normal((len(linearized), N_SIMULATIONS))
     observed = sign * _lag1_coefficient(linearized.residual[:, None], ar1)[0]
-    simulated, rms = [], []
+    simulated, share = [], []
     for coefficient in AR1_GRID if ar1.sequences.onto is None else LAG_GRID:
         series = _simulate_ar1(innovations, ar1, sign * coefficient)
-        simulated.append(sign * _lag1_coefficient(linearized.project(series), ar1))
-        rms.append(coefficient * _rms(np.where(ar1.before[:, None] >= 0, series[ar1.before], 0.0)))
+        left = linearized.project(series)
+        kept = linearized.project(np.where(ar1.before[:, None] >= 0, series[ar1.before], 0.0))
+        simulated.append(sign * _lag1_coefficient(left, ar1))
+        share.append(coefficient * _rms(kept) / _rms(left))
     limits = np.maximum.accumulate(np.quantile(simulated, QUANTILES_95, axis=1), axis=1)
-    high, middle, low = (float(np.interp(observed, limit, rms)) for limit in limits)
-    return Interval(middle, low, high)
+    high, middle, low = (float(np.interp(observed, limit, share)) for limit in limits)
+    return Interval(middle, low, high).times(_rms(linearized.unwhiten(linearized.residual)))
 
 
 def _simulate_ar1(innovations: Array, ar1: AR1, coefficient: float) -> Array:
