@@ -309,14 +309,14 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
         except np.linalg.LinAlgError:
             failed.append(cause)
             continue
-        left = float((after.residual @ after.residual) / (before.residual @ before.residual))
-        gain = _refit_gain(misfit, cause, left, before.df)
+        left, df = _share_left(misfit, before, after)
+        gain = _refit_gain(misfit, cause, left, df)
         shape = misfit.best_hypothesis(cause)
         assert isinstance(shape, Hypothesis)
         has_more_forms = len(shape.prior_share) > len(one.start)
         if left > 0 and not has_more_forms and not hasattr(one.version, "with_amplitude"):
             # No more than the best fit within the bounds; of a smooth cause this one is penalised.
-            evidence[cause] = min(evidence[cause], max(-0.5 * before.df * float(np.log(left)), 0.0))
+            evidence[cause] = min(evidence[cause], max(-0.5 * df * float(np.log(left)), 0.0))
         evidence[cause] += gain
         if gain > 0 or one is not trial:
             starts[cause] = fit.values[len(fit.values) - len(one.start) :]
@@ -341,6 +341,19 @@ def _refine(one: SelectedCause, before: LinearizedFit) -> SelectedCause:
     with np.errstate(divide="ignore", invalid="ignore"):
         explained = np.where(length > EFFECT_TOL, before.residual @ effects / length, 0.0)
     return replace(one, start=trials[int(np.argmax(explained))])
+
+
+def _share_left(misfit: Misfit, before: LinearizedFit, after: LinearizedFit) -> tuple[float, int]:
+    """Squared residuals after a refit over those before it, and the degrees of freedom of the latter.
+
+    Of both without the other forms of causes in the law, if the test was without them.
+    """
+    residuals, df = np.stack([before.residual, after.residual], axis=1), before.df
+    if misfit.basis is not None and misfit.basis.shape[1] > before.basis.shape[1]:
+        residuals = residuals - misfit.basis @ (misfit.basis.T @ residuals)
+        df = len(residuals) - misfit.basis.shape[1]
+    first, last = np.sum(residuals**2, axis=0)
+    return float(last / first), df
 
 
 def _refit_gain(misfit: Misfit, cause: str, left: float, df: int) -> float:

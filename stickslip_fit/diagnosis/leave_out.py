@@ -385,16 +385,21 @@ class Look:
         return evidence
 
     def select(self, cause: str, without: Misfit, rows: IntArray) -> SelectedCause:
-        """The cause as selected from the test `without` some rows."""
+        """The cause as selected from the test `without` some rows, its test that of the others."""
         best = without.best_hypothesis(cause)
         assert isinstance(best, Hypothesis)
+        kept = np.setdiff1d(np.arange(len(without.residual)), rows)
         effects = self._leave_out(rows).remove(self._effects(best), self.basis)
-        own = make_hypothesis(best.cause, best.version, best.values, effects)
-        hypotheses = without.hypotheses if own is None else (own,)
-        evidence = without.log_evidence if own is None else without.log_evidence.max(keepdims=True)
-        return make_selected(
-            replace(without, hypotheses=hypotheses, log_evidence=evidence), form_cause_set(without, cause)
+        own = make_hypothesis(best.cause, best.version, best.values, effects[kept])
+        assert own is not None  # without an effect there would be no evidence of it
+        test = replace(
+            without,
+            residual=without.residual[kept],
+            basis=None,
+            hypotheses=(own,),
+            log_evidence=without.log_evidence.max(keepdims=True),
         )
+        return make_selected(test, form_cause_set(without, cause))
 
 
 @dataclass(frozen=True, eq=False)
