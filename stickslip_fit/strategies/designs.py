@@ -31,7 +31,9 @@ from stickslip_fit.strategies.base import (
 Loss = Callable[[Array], Array]
 """From information matrices, shape (m, p, p), to the criterion to minimize, shape (m,)."""
 
-IMPROVEMENT_TOL = 1e-9
+# Relative difference of losses that counts as none: rows at one configuration have the same loss but for
+# rounding, which is another on each processor.
+LOSS_TOL = 1e-6
 
 
 def exchange_rows(jacobian: Array, count: int, loss: Loss, prior: Array) -> IntArray:
@@ -55,7 +57,7 @@ def add_rows(jacobian: Array, count: int, loss: Loss, prior: Array) -> IntArray:
     single, left = jacobian[:, :, None] * jacobian[:, None, :], np.arange(len(jacobian))
     chosen: list[int] = []
     for _ in range(count):
-        best = int(np.argmin(loss(prior + single[chosen].sum(axis=0) + single[left])))
+        best = _first_least(loss(prior + single[chosen].sum(axis=0) + single[left]))
         chosen.append(int(left[best]))
         left = np.delete(left, best)
     return np.array(chosen, dtype=np.intp)
@@ -69,12 +71,19 @@ def improve_design(jacobian: Array, begin: IntArray, loss: Loss, prior: Array) -
         information = prior + single[chosen].sum(axis=0)
         exchanged = information - single[chosen][:, None] + single[left][None]
         losses = loss(exchanged.reshape(-1, *information.shape))
-        if not losses.min() < best - IMPROVEMENT_TOL * abs(best):
+        place = _first_least(losses)
+        if not losses[place] < best - LOSS_TOL * abs(best):
             break
-        best = float(losses.min())
-        removed, added = divmod(int(np.argmin(losses)), len(left))
+        best = float(losses[place])
+        removed, added = divmod(place, len(left))
         chosen[removed] = left[added]
     return np.sort(chosen)
+
+
+def _first_least(losses: Array) -> int:
+    """Position of the first loss, of shape (m,), that is no greater than the least."""
+    least = losses.min()
+    return int(np.argmax(losses <= least + LOSS_TOL * abs(least)))
 
 
 def negative_log_determinant(information: Array) -> Array:
