@@ -437,16 +437,23 @@ def simulate_selection(
 ) -> IntArray:
     """The cause that a selection from the training rows takes in the place of a true one, in each of m logs.
 
+    The effects of the other causes are in the law, so that a rival does not stand for one of these.
     `training` predicts the training rows by themselves, `sums` are those of the responses over them;
     `spread`, shape (m, r), is added to the log Bayes factor of each rival. The result, shape (m,), is
     `CAUSE_FOUND`, the number of the rival, counted from 1, or `NONE_FOUND`.
     """
     rivals, (candidates, _) = campaign.competing_causes[cause], campaign.places[cause]
-    direction = training.subtract(campaign.columns[:, candidates])
+    others = [place.start for k, (place, _) in enumerate(campaign.places) if k != cause]
+    own = training.subtract(campaign.columns[:, candidates])
+    basis, turn = np.linalg.qr(training.subtract(campaign.columns[:, others]))
+    along = basis.T @ own
+    direction = own - basis @ along
+    by_others = np.linalg.lstsq(turn.T, sums.products[others], rcond=RANK_TOL)[0]
+    squares = sums.squares - np.sum(by_others**2, axis=0)
     own_length = np.maximum(np.linalg.norm(direction, axis=0), MIN_LENGTH)
-    length = np.abs(sums.products[candidates].T / own_length)
-    df = len(training.predicted) - training.known.shape[0]
-    evidence = log_likelihood_ratio(length**2 / sums.squares[:, None], df)
+    length = np.abs((sums.products[candidates] - along.T @ by_others).T / own_length)
+    df = len(training.predicted) - training.known.shape[0] - len(others)
+    evidence = log_likelihood_ratio(length**2 / squares[:, None], df)
     evidence[:, 1:] += rivals.log_bayes_factor + spread
     best = np.argmax(evidence, axis=1)
     detected = np.take_along_axis(length, best[:, None], axis=1)[:, 0] > campaign.thresholds[cause]

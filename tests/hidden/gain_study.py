@@ -21,7 +21,7 @@ from stickslip_fit.logs import Log, read_log
 from tests.hidden import outside, study
 from tests.hidden.generate import Hidden
 
-KINDS = ("single", "outside")
+KINDS = ("single", "pair", "outside")
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class GainCase:
 
 def gain_cases(kind: str, logs: int, strength: float, first: int) -> Iterator[GainCase]:
     """As many cases, over designs and noises in turn; of effects outside the library, each in turn."""
-    if kind == "single":
+    if kind != "outside":
         for case in study.cases(kind, logs, (strength,), first):
             yield GainCase(kind, strength, case.seed, lambda number, case=case: study.make(case, number))
         return
@@ -93,11 +93,11 @@ def score_gain(case: GainCase) -> list[GainScore]:
         diagnose(read(log), seed=case.seed + k, gain=False).measure_gain()
         for k, log in enumerate((hidden, fresh))
     )
-    (effect,) = hidden.truth["effects"]
+    effects = " and ".join(f"{one['name']} ({one['form']})" for one in hidden.truth["effects"])
     return [
         GainScore(
             case.kind,
-            f"{effect['name']} ({effect['form']})",
+            effects,
             hidden.design,
             hidden.noise,
             case.strength,
