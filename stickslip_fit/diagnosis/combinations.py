@@ -30,6 +30,7 @@ from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis, compute_e
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, batch_hypotheses, classify_cause
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
+from stickslip_fit.diagnosis.proposed_term import propose_term
 
 # Nats: evidence of a cause to be tried as the first of a pair, and by how much a pair must be likelier than
 # unknown structure; the number of causes that are tried.
@@ -220,19 +221,26 @@ def name_combinations(
     ]
 
 
-def revise_causes(problem: DiagnosisProblem, causes: Sequence[SelectedCause]) -> list[SelectedCause]:
-    """Each cause selected again with all the others in the law."""
+def revise_causes(
+    problem: DiagnosisProblem, causes: Sequence[SelectedCause], rng: np.random.Generator
+) -> list[SelectedCause]:
+    """Each cause, and structure without a name, selected again with all the others in the law."""
     revised = list(causes)
-    for place in (place for place, one in enumerate(causes) if one.cause != UNKNOWN):
+    for place in range(len(causes)):
         others = [one for k, one in enumerate(revised) if k != place]
         extension = extend_problem(problem, others)
         trial, linearized = extension[0], absorb_unknown(extension, others)
         misfit = compute_evidence(linearized, trial, name_explained(others))
         refits = refit_likeliest(trial, others, misfit)
-        cause_set = form_cause_set(refits.misfit)
-        if cause_set.cause != UNKNOWN:
-            one = make_selected(refits.misfit, cause_set, refits.starts)
-            revised[place] = replace(one, p_value=causes[place].p_value)
+        one = make_selected(refits.misfit, form_cause_set(refits.misfit), refits.starts)
+        if one.cause == UNKNOWN:
+            if causes[place].cause != UNKNOWN:
+                continue
+            one = replace(one, ahead_of_pairs=causes[place].ahead_of_pairs)
+            one = propose_term(linearized, [*others, one], problem.expressions, rng)[-1]
+            if one.version is None:
+                continue
+        revised[place] = replace(one, p_value=causes[place].p_value)
     return revised
 
 

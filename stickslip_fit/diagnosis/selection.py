@@ -194,7 +194,7 @@ def select_causes(
         ends = following.cause == UNKNOWN and _is_large(chosen[-1].version)
         extension = refits.extensions.get(following.cause) or extend_problem(problem, chosen)
         if selected and following.cause != UNKNOWN:
-            revised = revise_causes(extension[0], chosen)
+            revised = revise_causes(extension[0], chosen, rng)
             # In another version a cause of the same name has other parameters.
             if [(one.cause, one.version) for one in revised] != [(one.cause, one.version) for one in chosen]:
                 extension = extend_problem(extension[0], revised)
