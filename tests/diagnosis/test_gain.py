@@ -136,7 +136,7 @@ def test_a_cause_that_is_selected_again_in_another_version_is_fitted_in_that(pro
     own_problem = problem(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
     other, _ = next(iter(Wear().trials(own_problem.rows)))
 
-    def revise(problem, causes):
+    def revise(problem, causes, rng):
         """The first one with two parameters where it had one."""
         return [replace(causes[0], version=other, start=np.array(other.start_values)), *causes[1:]]
 

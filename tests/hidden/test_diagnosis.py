@@ -119,6 +119,18 @@ def test_two_causes_are_both_found(design, causes, strength):
     assert set(found.found) == set(causes)
 
 
+@pytest.mark.parametrize(
+    ("noise", "seed"), [("gaussian", 54019), pytest.param("gaussian", 54010, marks=pytest.mark.nightly)]
+)
+def test_structure_without_a_name_gives_way_to_causes_that_show_beside_one_another(noise, seed):
+    """First of all a difference for each configuration is likelier than either of the two."""
+    case = Case("pair", "thesis", noise, 25.0, seed)
+    hidden = make(case)
+    assert hidden is not None
+    found = score(case, hidden)
+    assert set(found.found) == set(found.truth)
+
+
 def test_drift_and_a_slow_warm_up_in_one_session_cannot_be_told_apart_or_are_told_rightly():
     """Their traces are alike to 0.97 and more there, and the answer says so."""
     hidden = hide("session", ("drift",), 8.0, seed=3, forms={"drift": "table"})
