@@ -50,10 +50,10 @@ def interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _collect_rarely() -> None:
-    """Look for garbage in cycles 70 times as rarely: it took 5 % of a report, and there is next to none."""
+    """Look for garbage in cycles 700 times as rarely: it took 5 % of a report, and there is next to none."""
     import gc
 
-    gc.set_threshold(50_000)
+    gc.set_threshold(500_000)
 
 
 def _raise_interrupts() -> None:
