@@ -281,10 +281,10 @@ class Sequences:
             inverse, log = factorize(np.eye(one.own.shape[-1]) + weigh(one.own))
             n_columns = inverse.shape[1] * inverse.shape[2]
             crosses.append((inverse @ weigh(one.cross)).reshape(len(each), n_columns, left.shape[-1]))
-            left -= crosses[-1].transpose(0, 2, 1) @ crosses[-1]
+            left -= crosses[-1].mT @ crosses[-1]
             log_determinant += log
         inverse, log = factorize(left)
-        crosses, log_determinant = [inverse @ one.transpose(0, 2, 1) for one in crosses], log_determinant + log
+        crosses, log_determinant = [inverse @ one.mT for one in crosses], log_determinant + log
         for number, price in enumerate(log_determinant.tolist()):
             yield CalibrationRefit([one[number] for one in solvers], [one[number] for one in crosses], price)
 
