@@ -29,6 +29,7 @@ def main() -> None:
             run()
         finally:
             _ignore_interrupts()
+            _end_without_collecting()
     except KeyboardInterrupt:
         end()
 
@@ -55,6 +56,13 @@ def _collect_rarely() -> None:
     import gc
 
     gc.set_threshold(500_000)
+
+
+def _end_without_collecting() -> None:
+    """Have Python look for no garbage as it ends: that took 7 % of a diagnosis."""
+    import gc
+
+    gc.freeze()
 
 
 def _keep_memory() -> None:
