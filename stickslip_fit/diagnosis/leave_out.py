@@ -28,7 +28,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     make_hypothesis,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit, split_positions
-from stickslip_fit.diagnosis.memory import AR1, sum_lags
+from stickslip_fit.diagnosis.memory import AR1, leave_out_rows, log_memory_evidence
 from stickslip_fit.diagnosis.misfit import (
     MAX_EXPLAINED,
     STRENGTHS,
@@ -376,11 +376,9 @@ class Look:
         """The evidence with that of each AR(1), whose sequences go on after the rows left out."""
         kept = np.setdiff1d(np.arange(len(left)), rows)
         ar1s = {k: one for k, one in enumerate(self.misfit.hypotheses) if isinstance(one, AR1)}
-        smaller = {id(one): one.without(rows) for one in {one.sequences for one in ar1s.values()}}
-        sums = sum_lags(smaller.values(), left[kept, None])
-        for number, one in ar1s.items():
-            sequences = smaller[id(one.sequences)]
-            own = replace(one, sequences=sequences).log_evidence(sums[id(sequences)], df)
+        smaller = leave_out_rows((one.sequences for one in ar1s.values()), rows)
+        others = [replace(one, sequences=smaller[id(one.sequences)]) for one in ar1s.values()]
+        for number, own in zip(ar1s, log_memory_evidence(others, left[kept, None], df), strict=True):
             evidence[number] = own[0]
         return evidence
 

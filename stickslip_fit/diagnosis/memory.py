@@ -10,7 +10,7 @@ orthonormal basis of the calibration and r residuals orthogonal to it, the restr
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -110,6 +110,7 @@ class Calibration:
             stacks.append(CalibrationParts(rows, np.where((rows >= 0)[..., None], one.basis, 0.0)))
         return Calibration(tuple(stacks), self.shared[place[:-1] >= 0])
 
+    @cached_property
     def orthonormal(self) -> Calibration:
         """An orthonormal basis of the same directions."""
         stacks, shared = tuple(one.orthonormal() for one in self.stacks), self.shared.copy()
@@ -227,7 +228,7 @@ class Sequences:
     @cached_property
     def _products(self) -> tuple[list[_Products], Array, Array]:
         """Of each stack of parts; what all rows share: D C and (S + S') C, transposed, and C' times both."""
-        calibration = self.calibration.orthonormal()
+        calibration = self.calibration.orthonormal
         shared = calibration.shared
         both = self.diagonal[:, None] * shared, self._add_neighbours(np.arange(len(shared)), shared)
         products = []
@@ -247,44 +248,66 @@ class Sequences:
         stacks = zip(products, self.calibration.stacks, strict=True)
         return [*(own.along @ one.take(residuals) for own, one in stacks), shared @ residuals]
 
-    def refit(self, coefficient: float) -> CalibrationRefit:
-        """The calibration under the correlation of a coefficient."""
+    @cached_property
+    def _refits(self) -> dict[float, CalibrationRefit]:
+        return {}
+
+    def refit(self, coefficients: Iterable[float]) -> list[CalibrationRefit]:
+        """The calibration under the correlation of each coefficient; those not known yet side by side."""
+        wanted = list(coefficients)
+        if new := [one for one in wanted if one not in self._refits]:
+            self._refits.update(zip(new, self._refit_each(new), strict=True))
+        return [self._refits[one] for one in wanted]
+
+    def _refit_each(self, coefficients: list[float]) -> Iterator[CalibrationRefit]:
         products, _, together = self._products
-        solvers, crosses, log_determinant = [], [], 0.0
+        solvers, crosses, each = [], [], np.array(coefficients)[:, None, None]
+        log_determinant = np.zeros(len(coefficients))
 
         def weigh(both: Array) -> Array:
-            return np.asarray(coefficient**2 * both[0] - coefficient * both[1])
+            own = each if both.ndim == 3 else each[..., None]
+            return np.asarray(own**2 * both[0] - own * both[1])
 
-        def factorize(both: Array) -> tuple[Array, float]:
+        def factorize(both: Array) -> tuple[Array, Array]:
             factor = np.linalg.cholesky(both)
-            log = 2.0 * float(np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum())
+            logs = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).reshape(len(both), -1)
             inverse = np.linalg.inv(factor)
-            solvers.append(np.concatenate([coefficient**2 * inverse, -coefficient * inverse], axis=-1))
-            return inverse, log
+            own = each if both.ndim == 3 else each[..., None]
+            solvers.append(np.concatenate([own**2 * inverse, -own * inverse], axis=-1))
+            return inverse, 2.0 * logs.sum(axis=1)
 
         left = np.eye(together.shape[-1]) + weigh(together)
         for one in products:
             inverse, log = factorize(np.eye(one.own.shape[-1]) + weigh(one.own))
-            n_parts, width, _ = inverse.shape
-            crosses.append((inverse @ weigh(one.cross)).reshape(n_parts * width, len(left)))
-            left -= crosses[-1].T @ crosses[-1]
+            n_columns = inverse.shape[1] * inverse.shape[2]
+            crosses.append((inverse @ weigh(one.cross)).reshape(len(each), n_columns, left.shape[-1]))
+            left -= crosses[-1].mT @ crosses[-1]
             log_determinant += log
         inverse, log = factorize(left)
-        crosses, log_determinant = [inverse @ cross.T for cross in crosses], log_determinant + log
-        return CalibrationRefit(solvers, crosses, log_determinant)
+        crosses, log_determinant = [inverse @ one.mT for one in crosses], log_determinant + log
+        for number, price in enumerate(log_determinant.tolist()):
+            yield CalibrationRefit([one[number] for one in solvers], [one[number] for one in crosses], price)
 
-    def without(self, rows: IntArray) -> Sequences:
-        """The sequences of the other rows, which go on after the rows left out."""
-        n = len(self.previous)
+
+def leave_out_rows(every: Iterable[Sequences], rows: IntArray) -> dict[int, Sequences]:
+    """The sequences of the other rows, which go on after the rows left out, by the `id` of each."""
+    unique = {id(one): one for one in every}
+    calibrations: dict[int, Calibration] = {}
+    found = {}
+    for key, one in unique.items():
+        n = len(one.previous)
         is_out = np.zeros(n + 1, dtype=bool)
         is_out[rows] = True
         kept, place = np.flatnonzero(~is_out[:n]), np.full(n + 1, -1)
         place[kept] = np.arange(len(kept))
-        previous = self.previous[kept]
+        previous = one.previous[kept]
         while np.any(inside := is_out[previous]):
-            previous = np.where(inside, self.previous[previous], previous)
-        onto = None if self.onto is None else self.onto[kept]
-        return Sequences(place[previous], self.calibration.without(place), onto)
+            previous = np.where(inside, one.previous[previous], previous)
+        if id(one.calibration) not in calibrations:
+            calibrations[id(one.calibration)] = one.calibration.without(place)
+        onto = None if one.onto is None else one.onto[kept]
+        found[key] = Sequences(place[previous], calibrations[id(one.calibration)], onto)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,29 +411,46 @@ class AR1:
         """As of the `sequences`."""
         return self.sequences.before
 
-    @cached_property
-    def _refit(self) -> CalibrationRefit:
-        return self.sequences.refit(self.coefficient)
-
     def log_evidence(self, sums: LagSums, df: int) -> Array:
         """Log restricted likelihood ratio to white noise, the size of the noise unknown; shape (k,)."""
-        carried = self.coefficient
-        share = 1.0 + (carried**2 * sums.diagonal - 2 * carried * sums.products) / sums.squares
-        stationary = 0.5 * self.sequences.n_stationary
-        price = stationary * np.log1p(-(carried**2)) if stationary else 0.0
-        least = share - 2.0 * carried**2 * self.sequences.neighbour_squares / df
-        counts = price - 0.5 * df * np.log(np.maximum(least, LEAST_SHARE)) > NEGLIGIBLE
+        price, share, counts = self._without_refit(sums, df)
         log = price - 0.5 * df * np.log(share)
         if counts.any():
             some = sums if counts.mean() > MAX_FEW else sums.select(counts)
             where = slice(None) if some is sums else counts
-            left = share[where] - self._refit.explained(some) / some.squares
-            log[where] = price - 0.5 * self._refit.log_determinant - 0.5 * df * np.log(left)
+            (refit,) = self.sequences.refit([self.coefficient])
+            left = share[where] - refit.explained(some) / some.squares
+            log[where] = price - 0.5 * refit.log_determinant - 0.5 * df * np.log(left)
         return np.asarray(log)
+
+    def needs_refit(self, sums: LagSums, df: int) -> bool:
+        """Whether the evidence of any log needs the calibration's refit."""
+        return bool(self._without_refit(sums, df)[2].any())
+
+    def _without_refit(self, sums: LagSums, df: int) -> tuple[float, Array, BoolArray]:
+        """Price of a stationary start, share of the squares that is left, and logs in which memory counts."""
+        carried = self.coefficient
+        share = 1.0 + (carried**2 * sums.diagonal - 2 * carried * sums.products) / sums.squares
+        stationary = 0.5 * self.sequences.n_stationary
+        price = stationary * float(np.log1p(-(carried**2))) if stationary else 0.0
+        least = share - 2.0 * carried**2 * self.sequences.neighbour_squares / df
+        return price, share, price - 0.5 * df * np.log(np.maximum(least, LEAST_SHARE)) > NEGLIGIBLE
 
     def shape(self, residual: Array) -> Array:
         """Prediction of each residual from the one before, shape (n,)."""
         return np.where(self.before >= 0, self.coefficient * residual[self.before], 0.0)
+
+
+def log_memory_evidence(ar1s: Sequence[AR1], residuals: Array, df: int) -> list[Array]:
+    """The evidence of each, shape (k,), in residuals, shape (n, k)."""
+    sums = sum_lags((one.sequences for one in ar1s), residuals)
+    together: dict[int, list[AR1]] = {}
+    for one in ar1s:
+        if one.needs_refit(sums[id(one.sequences)], df):
+            together.setdefault(id(one.sequences), []).append(one)
+    for own in together.values():
+        own[0].sequences.refit(one.coefficient for one in own)
+    return [one.log_evidence(sums[id(one.sequences)], df) for one in ar1s]
 
 
 def memory_alternatives(linearized: LinearizedFit) -> Iterator[AR1]:

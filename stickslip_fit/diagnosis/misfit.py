@@ -44,7 +44,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     group_directions,
 )
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
-from stickslip_fit.diagnosis.memory import AR1, sum_lags
+from stickslip_fit.diagnosis.memory import AR1, log_memory_evidence
 from stickslip_fit.diagnosis.noise_shape import Quantization
 
 UNKNOWN = "unknown"
@@ -151,8 +151,7 @@ class HypothesisBatch:
         return log.reshape(-1, len(STRENGTHS), residuals.shape[1])
 
     def _ar1_log_evidence(self, residuals: Array) -> list[Array]:
-        sums = sum_lags((ar1.sequences for ar1 in self.ar1s), residuals)
-        return [ar1.log_evidence(sums[id(ar1.sequences)], self.df)[None] for ar1 in self.ar1s]
+        return [own[None] for own in log_memory_evidence(self.ar1s, residuals, self.df)]
 
 
 def batch_hypotheses(hypotheses: Sequence[Hypothesis | AR1], df: int) -> HypothesisBatch:

@@ -299,10 +299,14 @@ class Log(Summarized):
     def usable(self) -> pd.DataFrame:
         """The rows that may be fitted: those whose status is ok.
 
-        InputError for rows that no file could have given, since a DataFrame can be changed in place.
+        InputError for rows that no file could have given, since a DataFrame can be changed in place. Texts
+        and labels are of dtype object: single rows and columns of Arrow's strings are slow to select.
         """
         check_frame(self.rows, self.machine)
-        return self.rows[self.rows["status"] == "ok"].reset_index(drop=True)
+        rows = self.rows[self.rows["status"] == "ok"].reset_index(drop=True)
+        rows.columns = rows.columns.astype(object)
+        texts = rows.dtypes == "str"
+        return rows.astype(dict.fromkeys(rows.columns[texts], object))
 
     def select(self, mask: npt.ArrayLike) -> Log:
         """Only the rows where `mask` is true, with their history in the whole log."""
