@@ -240,7 +240,8 @@ def revise_causes(
             one = propose_term(linearized, [*others, one], problem.expressions, rng)[-1]
             if one.version is None:
                 continue
-        revised[place] = replace(one, p_value=causes[place].p_value)
+        before = causes[place]
+        revised[place] = replace(one, p_value=before.p_value, naming=before.naming or before.misfit)
     return revised
 
 
@@ -310,7 +311,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
     before, likelihoods = problem.linearize_extended(fit_causes(problem, selected)), dict[str, float]()
     for cause in likeliest:
         trial = make_selected(misfit, form_cause_set(misfit, cause))
-        one = _refine(trial, before)
+        one = refine_trial(trial, before)
         try:
             fit = fit_causes(problem, [*selected, one])
             after = problem.linearize_extended(fit)
@@ -339,7 +340,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
     return Refits(replace(misfit, log_evidence_by_cause=evidence), starts, extensions, tuple(failed))
 
 
-def _refine(one: SelectedCause, before: LinearizedFit) -> SelectedCause:
+def refine_trial(one: SelectedCause, before: LinearizedFit) -> SelectedCause:
     """A cause whose start values are the best of its finer trials, if it has any."""
     finer = getattr(one.version, "finer_trials", None)
     if finer is None or not len(one.start) or not len(trials := finer(before.rows, one.start)):

@@ -17,6 +17,7 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.combinations import refine_trial
 from stickslip_fit.diagnosis.extension import (
     SelectedCause,
     absorb_unknown,
@@ -303,19 +304,20 @@ def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Findi
         for part, fitted in zip(whole.problem.parts, whole.fit.parts, strict=True)
     ]
     training = replace(whole.problem, parts=tuple(parts)).select_rows(split.train)
-    causes: list[SelectedCause] = []
-    for one, before, place in zip(selected, whole.law_causes, whole.slices, strict=True):
-        if one.cause == UNKNOWN:
-            causes = _propose_again(training, causes)
-            if causes and causes[-1].version is None:
-                break
-        else:
-            start = whole.fit.values[place] if one.version is before.version else one.start
-            causes.append(replace(one, start=start))
-    if any(one.cause == UNKNOWN for one in causes):
-        training, fit, _ = extend_problem(training, causes)
-    else:
-        fit = fit_causes(training, causes)
+    # Unknown structure is the last that is selected.
+    causes, moved = [one for one in selected if one.cause != UNKNOWN], []
+    for k, (one, before, place) in enumerate(zip(causes, whole.law_causes, whole.slices, strict=False)):
+        if len(one.version.finer_trials(training.rows, one.start)):
+            moved.append(k)  # a moment of change found in the whole log knows the rows held out
+        elif one.version is before.version:
+            causes[k] = replace(one, start=whole.fit.values[place])
+    for k in moved:
+        others = fit_causes(training, [*causes[:k], *causes[k + 1 :]])
+        causes[k] = refine_trial(causes[k], training.linearize_extended(others))
+    if len(causes) < len(selected):
+        causes = _propose_again(training, causes)
+        training = extend_problem(training, causes)[0]
+    fit = fit_causes(training, causes)
     selection = replace(whole, problem=training, selected=tuple(causes), fit=fit)
     return _predict_by_steps(whole.problem, split, findings, selection)
 

@@ -64,6 +64,8 @@ class SelectedCause:
         Causes without which it would not have been found.
     ahead_of_pairs : float
         Nats by which unknown structure is likelier than any combination of causes.
+    naming : Misfit or None
+        Where it was selected again with others in the law, the test that selected a cause in its place first.
     """
 
     cause: str
@@ -74,6 +76,7 @@ class SelectedCause:
     p_value: float
     together_with: tuple[str, ...] = ()
     ahead_of_pairs: float = np.inf
+    naming: Misfit | None = None
 
 
 def law_causes(selected: Sequence[SelectedCause]) -> list[SelectedCause]:

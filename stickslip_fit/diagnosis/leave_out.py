@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csc_array, csr_array
@@ -21,6 +22,7 @@ from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.combinations import PAIR_LOG_PENALTY
 from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes, make_selected
 from stickslip_fit.diagnosis.hypotheses import (
     VARIANCE_TOL,
@@ -432,12 +434,18 @@ class Looks:
     """The tests that named the causes in a selection's law, and the last one, which named no other."""
 
     def __init__(self, selection: Selection, alpha: float) -> None:
-        self.selection = selection
-        self.critical = selection.first_misfit.critical_value(allocate_alpha(alpha))
-        self.last_critical = selection.last_misfit.critical_value(allocate_alpha(alpha))
-        self.naming = [Look(one.misfit) for one in selection.law_causes if one.misfit is not None]
-        last = selection.last_misfit  # which named what the search of a log ends with
-        self.last = next((look for look in self.naming if look.misfit is last), None) or Look(last)
+        self.selection, self.level = selection, allocate_alpha(alpha)
+        looks: dict[int, Look] = {}
+
+        def look(misfit: Misfit) -> Look:
+            return looks.setdefault(id(misfit), Look(misfit))
+
+        causes = [(one.misfit, one.naming or one.misfit) for one in selection.law_causes]
+        self.revised = [look(misfit) for misfit, _ in causes if misfit is not None]
+        self.naming = [look(misfit) for _, misfit in causes if misfit is not None]
+        # A law for structure without a name may end the search whatever is left.
+        ended = selection.selected[-1].version is not None and selection.last_misfit.p_value < self.level
+        self.last = None if ended else look(selection.last_misfit)
         self._refits: dict[tuple[str, str | None], Refit] = {}
 
     def select_without(self, rows: IntArray) -> list[SelectedCause] | None:
@@ -445,32 +453,58 @@ class Looks:
 
         Unknown structure is without its law, which has to be searched again.
         """
-        selected = []
-        for look, one in zip(self.naming, self.selection.law_causes, strict=True):
-            without = look.without(rows)
-            is_clear = self._is_unknown if one.cause == UNKNOWN else self._is_clear
-            if not is_clear(look, without, one, rows):
+        selected: list[SelectedCause] = []
+        causes = self.selection.law_causes
+        for place, (naming, revised, one) in enumerate(zip(self.naming, self.revised, causes, strict=True)):
+            without = naming.without(rows)
+            if self._ahead_of_noise(without) < CLEAR_TEST:
                 return None
             if one.cause == UNKNOWN:
+                if not self._is_unknown(naming, without, one):
+                    return None
                 selected.append(replace(one, version=None, start=np.zeros(0)))
-            else:
-                selected.append(look.select(one.cause, without, rows))
-        if not self.naming or self.naming[-1] is not self.last:
-            without = self.last.without(rows)
-        return selected if self._is_last(without) else None
+                continue
+            if revised is not naming:
+                if not self._is_known(place, without, rows):
+                    return None
+                without = revised.without(rows)
+            if not self._is_clear(revised, without, one.cause, rows, was_revised=revised is not naming):
+                return None
+            selected.append(revised.select(one.cause, without, rows))
+        return selected if self.last is None or self._is_last(self.last.without(rows)) else None
 
-    def _is_clear(self, look: Look, without: Misfit, selected: SelectedCause, rows: IntArray) -> bool:
-        cause = selected.cause
-        whole, evidence = look.misfit, without.log_evidence_by_cause
-        statistic, own = float(logsumexp(list(evidence.values()))), evidence[cause]
+    def _ahead_of_noise(self, without: Misfit) -> float:
+        """Nats of a test's statistic beyond its critical value."""
+        statistic = float(logsumexp(list(without.log_evidence_by_cause.values())))
+        return statistic - without.critical_value(self.level)
+
+    def _is_known(self, place: int, without: Misfit, rows: IntArray) -> bool:
+        """Whether a cause in the law, or a pair of these, is selected first, and not unknown structure."""
+        causes, evidence = self.selection.law_causes, without.log_evidence_by_cause
+        to_beat = evidence.get(UNKNOWN, -np.inf) + CLEAR_NAME
+        if max(evidence.get(one.cause, -np.inf) for one in causes if one.cause != UNKNOWN) > to_beat:
+            return True
+        if place + 1 == len(causes):
+            return False
+        second = self.naming[place + 1].without(rows).log_evidence_by_cause
+        pair = evidence.get(causes[place].cause, -np.inf) + second.get(causes[place + 1].cause, -np.inf)
+        return pair > to_beat + PAIR_LOG_PENALTY
+
+    def _is_clear(
+        self, look: Look, without: Misfit, cause: str, rows: IntArray, *, was_revised: bool
+    ) -> bool:
+        whole, evidence = look.misfit, dict(without.log_evidence_by_cause)
+        if was_revised:  # by a known cause or not at all
+            evidence.pop(UNKNOWN, None)
+        own = evidence[cause]
         least = own - max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
         close = [one for one in evidence if one != cause and evidence[one] >= least]
-        version, before = (test.best_hypothesis(cause).version for test in (without, whole))
+        version, before = (_best_version(test, cause) for test in (without, whole))
+        # Effects that are linear in all parameters need no refit to be compared; forms of others do.
         linear = all(getattr(one, "combine_trials", False) for one in (version, before))
+        linear = linear and len(version.parameters) == len(before.parameters)
         return bool(
-            # Effects that are linear in all parameters need no refit to be compared.
             (version is before or linear)
-            and statistic > self.critical + CLEAR_TEST
             and own > MIN_EVIDENCE_SHARE * whole.log_evidence_by_cause[cause]
             and (not close or self._is_ahead(look, without, cause, close, rows))
         )
@@ -509,23 +543,22 @@ class Looks:
             self._refits[cause, rival] = Refit.of(problem.linearize_extended(fit_causes(problem, causes)))
         return self._refits[cause, rival]
 
-    def _is_unknown(self, look: Look, without: Misfit, selected: SelectedCause, rows: IntArray) -> bool:
+    def _is_unknown(self, look: Look, without: Misfit, selected: SelectedCause) -> bool:
         """Whether unknown structure is selected, neither a cause nor a combination of some."""
         evidence = dict(without.log_evidence_by_cause)
-        statistic, own = float(logsumexp(list(evidence.values()))), evidence.pop(UNKNOWN)
+        own = evidence.pop(UNKNOWN)
         margin = max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
         return bool(
-            statistic > self.critical + CLEAR_TEST
-            and own > MIN_EVIDENCE_SHARE * look.misfit.log_evidence_by_cause[UNKNOWN]
+            own > MIN_EVIDENCE_SHARE * look.misfit.log_evidence_by_cause[UNKNOWN]
             and own > max(evidence.values(), default=-np.inf) + margin
             and selected.ahead_of_pairs > margin
         )
 
     def _is_last(self, without: Misfit) -> bool:
         """Whether no further known cause would be selected."""
-        evidence = dict(without.log_evidence_by_cause)
-        if float(logsumexp(list(evidence.values()))) < self.last_critical - CLEAR_TEST:
+        if self._ahead_of_noise(without) < -CLEAR_TEST:
             return True
+        evidence = dict(without.log_evidence_by_cause)
         unknown = evidence.pop(UNKNOWN, -np.inf)
         return bool(unknown > max(evidence.values(), default=-np.inf) + CLEAR_NAME)
 
@@ -540,7 +573,17 @@ def prepare_looks(selection: Selection, alpha: float) -> Looks | None:
         for one in selection.selected
     )
     independent = selection.problem.autocorrelation is None
-    return Looks(selection, alpha) if possible and independent and not forced else None
+    # What follows a law for unknown structure depends on the law that each fold finds.
+    followed = any(one.cause == UNKNOWN for one in selection.law_causes[:-1])
+    # Of what was found first and is needless at the end, the search may make more without some rows.
+    first = next((one.naming or one.misfit for one in selection.law_causes), None)
+    dropped = first is not None and first.residual is not selection.first_misfit.residual
+    simple = independent and not (forced or followed or dropped)
+    return Looks(selection, alpha) if possible and simple else None
+
+
+def _best_version(misfit: Misfit, cause: str) -> Any:
+    return misfit.best_hypothesis(cause).version
 
 
 def _best_cause(misfit: Misfit) -> str:

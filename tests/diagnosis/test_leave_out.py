@@ -204,3 +204,46 @@ def test_looks_that_are_not_clear_are_left_to_the_whole_selection(problem):
     withdrawn = replace(one, cause=UNKNOWN, version=None)
     assert prepare_looks(replace(selection, selected=(withdrawn,)), ALPHA) is None
     assert prepare_looks(replace(selection, selected=(close,)), ALPHA) is not None
+
+
+def test_several_causes_are_those_of_the_whole_selection_repeated(tmp_path):
+    """Each is asked for again with the others in the law, and where it was named first."""
+    hide("thesis", ("cable-torque", "drift"), 14, seed=3).write(tmp_path / "log.csv")
+    causes = [cause for cause in library() if cause.name in FEW]
+    problem = replace(problem_from_log(read_log(tmp_path / "log.csv"), causes)[0], alternatives=alternatives)
+    selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
+    findings = size_findings(selection, selection.problem, ALPHA)
+    assert {one.cause for one in findings} == {"cable-torque", "drift"}
+    assert all(one.naming is not None for one in selection.law_causes)
+    looks, split = prepare_looks(selection, ALPHA), hold_out_configurations(selection)[0]
+    confirmed = confirm_held_out_errors(looks, split, findings)
+    repeated = compute_held_out_errors(
+        selection.problem, split, findings, partial(select_in_fold, alpha=ALPHA), (0, 0)
+    )
+    after = np.sqrt(np.mean(repeated[-1] ** 2))
+    assert np.sqrt(np.mean((confirmed[-1] - repeated[-1]) ** 2)) < 0.1 * after
+    first, second = selection.law_causes
+    evidence = {**first.naming.log_evidence_by_cause, UNKNOWN: 1e3}  # which would have been selected
+    hidden = replace(first, naming=replace(first.naming, log_evidence_by_cause=evidence))
+    unclear = replace(selection, selected=(hidden, second))
+    assert confirm_held_out_errors(prepare_looks(unclear, ALPHA), split, findings) is None
+    followed = replace(second, cause=UNKNOWN)
+    assert prepare_looks(replace(selection, selected=(followed, first)), ALPHA) is None
+    assert prepare_looks(replace(selection, selected=(second,)), ALPHA) is None  # another was first
+
+
+def test_a_moment_of_change_is_chosen_without_the_rows_held_out(tmp_path):
+    hide("session", ("session-jump",), 25, seed=4).write(tmp_path / "log.csv")
+    causes = [cause for cause in library() if cause.name in (*FEW, "session-jump")]
+    problem = replace(problem_from_log(read_log(tmp_path / "log.csv"), causes)[0], alternatives=alternatives)
+    selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
+    findings = size_findings(selection, selection.problem, ALPHA)
+    assert [one.cause for one in findings] == ["session-jump"]
+    split = hold_out_configurations(selection)[0]
+    size, moment = selection.fit.values
+    elsewhere = replace(selection, fit=replace(selection.fit, values=np.array([size, 0.5 * moment])))
+    one, other = (
+        confirm_held_out_errors(prepare_looks(each, ALPHA), split, findings)
+        for each in (selection, elsewhere)
+    )
+    np.testing.assert_allclose(one, other, rtol=1e-6)
