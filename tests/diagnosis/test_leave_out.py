@@ -206,6 +206,25 @@ def test_looks_that_are_not_clear_are_left_to_the_whole_selection(problem):
     assert prepare_looks(replace(selection, selected=(close,)), ALPHA) is not None
 
 
+def test_a_law_for_unknown_structure_is_searched_anew_beside_a_cause(tmp_path):
+    """As in the search repeated, within a few hundredths of the noise."""
+    hidden = ("session-jump", "unknown:harmonic")
+    forms = {"session-jump": "table", "unknown:harmonic": "cos 3 q2"}
+    hide("session", hidden, (25, 25), seed=4, forms=forms).write(tmp_path / "log.csv")
+    problem, _ = problem_from_log(read_log(tmp_path / "log.csv"))
+    selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
+    findings = size_findings(selection, selection.problem, ALPHA)
+    assert [one.cause for one in findings] == ["session-jump", UNKNOWN]
+    looks, split = prepare_looks(selection, ALPHA), hold_out_configurations(selection)[0]
+    confirmed = confirm_held_out_errors(looks, split, findings)
+    repeated = compute_held_out_errors(
+        selection.problem, split, findings, partial(select_in_fold, alpha=ALPHA), (0, 0)
+    )
+    before, *_, after = np.sqrt(np.mean(repeated**2, axis=1))
+    assert after < 0.8 * before
+    assert np.sqrt(np.mean((confirmed[-1] - repeated[-1]) ** 2)) < 0.1 * after
+
+
 def test_several_causes_are_those_of_the_whole_selection_repeated(tmp_path):
     """Each is asked for again with the others in the law, and where it was named first."""
     hide("thesis", ("cable-torque", "drift"), 14, seed=3).write(tmp_path / "log.csv")
