@@ -500,9 +500,10 @@ class Looks:
         least = own - max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
         close = [one for one in evidence if one != cause and evidence[one] >= least]
         version, before = (_best_version(test, cause) for test in (without, whole))
-        # Effects that are linear in all parameters need no refit to be compared; forms of others do.
+        # Effects that are linear in all parameters need no refit to be compared, unless another form may take
+        # over a part of another cause.
         linear = all(getattr(one, "combine_trials", False) for one in (version, before))
-        linear = linear and len(version.parameters) == len(before.parameters)
+        linear = linear and not (was_revised and len(version.parameters) != len(before.parameters))
         return bool(
             (version is before or linear)
             and own > MIN_EVIDENCE_SHARE * whole.log_evidence_by_cause[cause]
