@@ -316,8 +316,9 @@ def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Findi
         causes[k] = refine_trial(causes[k], training.linearize_extended(others))
     if len(causes) < len(selected):
         causes = _propose_again(training, causes)
-        training = extend_problem(training, causes)[0]
-    fit = fit_causes(training, causes)
+        training, fit, _ = extend_problem(training, causes)
+    else:
+        fit = fit_causes(training, causes)
     selection = replace(whole, problem=training, selected=tuple(causes), fit=fit)
     return _predict_by_steps(whole.problem, split, findings, selection)
 

@@ -56,7 +56,8 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
 
 MAX_CAUSES = 4
-MAX_OWN_PARAMETERS = 24  # of functions of sessions, beside which too little is left to tell causes by
+# Of functions of sessions, and rows for each of them: beside more, too little is left to tell causes by.
+MAX_OWN_PARAMETERS, ROWS_PER_PARAMETER = 24, 6
 # Bootstrap samples above the statistic, after which a test ends: where a diagnosis's p-value is below its
 # share of the rate, at most 22 lie above, so that no decision depends on the rest.
 MAX_EXCEEDANCES = 50
@@ -191,7 +192,7 @@ def select_causes(
             if chosen[-1].version is None:
                 selected = chosen
                 break
-        ends = following.cause == UNKNOWN and _is_large(chosen[-1].version)
+        ends = following.cause == UNKNOWN and _is_large(chosen[-1].version, len(problem))
         extension = refits.extensions.get(following.cause) or extend_problem(problem, chosen)
         if selected and following.cause != UNKNOWN:
             revised = revise_causes(extension[0], chosen, rng)
@@ -233,9 +234,10 @@ def select_causes(
     return selection
 
 
-def _is_large(version: Any) -> bool:
+def _is_large(version: Any, n: int) -> bool:
     """Whether a law for structure without a name has so many parameters of sessions that a search ends."""
-    return bool(getattr(version, "sessions", ())) and len(version.parameters) > MAX_OWN_PARAMETERS
+    most = min(MAX_OWN_PARAMETERS, n // ROWS_PER_PARAMETER)
+    return bool(getattr(version, "sessions", ())) and len(version.parameters) > most
 
 
 def follows(selected: SelectedCause, carrier: str) -> bool:
