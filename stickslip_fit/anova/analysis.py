@@ -20,6 +20,7 @@ import pandas as pd
 from stickslip_fit._io import write_atomically
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
+from stickslip_fit._threads import one_blas_thread
 from stickslip_fit.anova.contrasts import adjust_holm
 from stickslip_fit.anova.designs import (
     ConfigurationChooser,
@@ -154,6 +155,7 @@ class Anova(Summarized):
 POSITION_SHARE = 0.5  # of the time
 
 
+@one_blas_thread
 def analyze_variance(
     log: Log,
     *,

@@ -18,6 +18,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._summary import Summarized
+from stickslip_fit._threads import one_blas_thread
 from stickslip_fit._typing import Array
 from stickslip_fit.anova.analysis import RECORD_COLUMNS
 from stickslip_fit.anova.contrasts import adjust_holm, indicator_columns, orthonormal_basis, subtract_median
@@ -107,6 +108,7 @@ class FormulaTable(Summarized):
         return records
 
 
+@one_blas_thread
 def analyze_formula(
     log: Log, text: str, *, joint: int | None = None, session: str | None = None, kind: int = 2
 ) -> tuple[FormulaTable, ...]:

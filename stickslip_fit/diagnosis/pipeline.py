@@ -33,6 +33,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stickslip_fit._progress import ProgressCallback, ignore_progress
+from stickslip_fit._threads import one_blas_thread
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.cause_set import cause_probabilities
@@ -71,6 +72,7 @@ NOISE_LEFT = 0.7  # of the noise, below which causes that were untestable in it 
 MAX_INCLUSION_WITHOUT_ALARM = 0.5  # of all causes together, where the misfit is not significant
 
 
+@one_blas_thread
 def diagnose(
     log: Log,
     *,

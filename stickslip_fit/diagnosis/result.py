@@ -12,6 +12,7 @@ import pandas as pd
 
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
+from stickslip_fit._threads import one_blas_thread
 from stickslip_fit.diagnosis._methods import describe_methods, list_references
 from stickslip_fit.diagnosis.explanation import explain_structure
 from stickslip_fit.diagnosis.extended_table import make_table_fit
@@ -143,6 +144,7 @@ class Diagnosis(Summarized):
             raise InputError("this diagnosis is not of a log: use `diagnose` on a log instead")
         return self.log
 
+    @one_blas_thread
     def measure_gain(self, *, workers: int = -1, progress: ProgressCallback = ignore_progress) -> Diagnosis:
         """The same diagnosis with `gain`, `gain_new_session` and the gain of each finding.
 

@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._progress import ProgressCallback, ignore_progress
+from stickslip_fit._threads import one_blas_thread
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import table_library
 from stickslip_fit.causes.empty_cells import leave_out_gaps
@@ -56,6 +57,7 @@ NO_POSITION = "no column was named as the position"
 NO_DIRECTION = "no column was named as the direction"
 
 
+@one_blas_thread
 def diagnose_table(
     frame: pd.DataFrame | str | Path,
     law: Any,
