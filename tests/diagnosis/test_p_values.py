@@ -19,6 +19,7 @@ from stickslip_fit.diagnosis.misfit import (
     batch_hypotheses,
     compute_misfit,
     detection_length,
+    winsorize,
 )
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.selection import MAX_EXCEEDANCES, allocate_alpha
@@ -26,9 +27,9 @@ from tests.diagnosis.conftest import NOISE
 
 
 def test_a_small_p_value_is_that_of_heavy_tails_where_noise_has_them(rows, linearize):
-    """A chance coincidence of two large residuals: signs alone take it for structure four times as often."""
+    """A chance coincidence of two large residuals: signs alone take it for structure five times as often."""
     windows = np.repeat(np.eye(20), 10, axis=0)
-    noise = NOISE * np.random.default_rng(28).standard_t(3, len(rows))
+    noise = NOISE * np.random.default_rng(47).standard_t(3, len(rows))
     linearized = linearize(noise + 0.004 * windows[:, 7])
     tried = [make_hypothesis(f"{k}", None, None, linearized.project(one[:, None])) for k, one in
              enumerate(windows.T)]  # fmt: skip
@@ -38,13 +39,34 @@ def test_a_small_p_value_is_that_of_heavy_tails_where_noise_has_them(rows, linea
         return logsumexp(batch.log_evidence(residuals), axis=0)
 
     df = rng.choice(TAIL_DF, 12_000, p=_tail_probabilities(linearized.residual))
-    simulated = statistic(linearized.project(rng.standard_t(df, (len(rows), len(df)))))
-    expected = np.mean(simulated >= statistic(linearized.residual[:, None]))
+    within, bound = winsorize(linearized, linearized.residual)
+    samples = np.sqrt((df - 2.0) / df) * rng.standard_t(df, (len(rows), len(df)))
+    simulated = statistic(linearized.project(np.clip(samples, -bound, bound)))
+    expected = np.mean(simulated >= statistic(within[:, None]))
     assert 0.003 < expected < 0.05
     found = [compute_misfit(linearized, tried, 499, rng) for _ in range(8)]
     # Of 8 x 2000 samples some 80 lie above: four standard errors of their number, and of that of `simulated`.
     assert np.mean([one.p_value for one in found]) == pytest.approx(expected, rel=0.65)
     assert all(len(one.null_log_evidence) >= 2000 for one in found)
+
+
+def test_one_row_far_out_does_not_hide_an_effect_that_many_rows_share(rows, linearize):
+    """Nine standard deviations, in a row that has a quarter of one of the shapes: it is there in every sample."""
+    rng, half = np.random.default_rng(5), np.arange(len(rows)) % 20 < 10
+    windows = np.repeat(np.eye(len(rows) // 4), 4, axis=0)
+    noise = rng.standard_normal(len(rows))
+    noise[33] = 9.0
+    linearized = linearize(NOISE * (noise + 0.6 * half))
+    shapes = {"half": half[:, None], **{f"{k}": one[:, None] for k, one in enumerate(windows.T)}}
+    tried = [make_hypothesis(name, None, None, linearized.project(1.0 * one)) for name, one in shapes.items()]
+    found = compute_misfit(linearized, tried, 1999, rng)
+    assert max(found.log_evidence_by_cause, key=found.log_evidence_by_cause.__getitem__) == "half"
+    assert found.p_value < 0.005
+    # The bound is no smaller than what noise alone makes of nearly all rows.
+    within, bound = winsorize(linearized, linearized.residual)
+    cut = np.abs(linearized.residual - within) > 0.2 * np.sqrt(np.mean(within**2))
+    assert np.flatnonzero(cut).tolist() == [33]
+    assert np.abs(within).max() < 1.1 * bound
 
 
 @pytest.mark.parametrize("size", [0.0, 1.0])
