@@ -5,9 +5,9 @@ alone is prod (1 + tau^2 s_i)^(-1/2) (1 - sum u_i^2 tau^2 s_i / (1 + tau^2 s_i) 
 the residual along direction i and s_i its prior share (A. Zellner, g-prior, 1986), averaged over four
 values of tau. The statistic is the mean Bayes factor over all causes and unstructured alternatives.
 
-Residuals beyond 2.5 standard deviations of what the best hypothesis leaves are set to that bound first, in
-the log as in every sample (winsorized; P. J. Huber, Ann. Math. Stat. 35:73, 1964): of heavy-tailed noise a
-single row would otherwise decide about hypotheses that rest on few rows.
+For the p-value, residuals beyond 2.5 standard deviations are set to that first, in the log as in every
+sample (winsorized; P. J. Huber, Ann. Math. Stat. 35:73, 1964): of heavy-tailed noise a single row would
+otherwise decide about hypotheses that rest on few rows.
 
 Its null distribution is a wild bootstrap: signs of the residuals flipped at random, then the
 calibration parameters projected out again (J. L. Horowitz, Annu. Rev. Econ. 11:193, 2019). A real effect
@@ -52,7 +52,8 @@ from stickslip_fit.diagnosis.memory import AR1, log_memory_evidence
 from stickslip_fit.diagnosis.noise_shape import Quantization
 
 UNKNOWN = "unknown"
-# Standard deviations at which deviations are cut off: of normal noise it costs 0.2 % of the information.
+# Standard deviations at which residuals are cut off for the p-value: of normal noise that costs 0.2 % of the
+# information.
 MAX_DEVIATION = 2.5
 STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])  # tau: hyperprior on the norm of an effect, whitened
 MAX_DETECTION_LENGTH = 60.0  # whitened norm
@@ -231,7 +232,6 @@ class Misfit:
     Attributes
     ----------
     residual : array, shape (n,)
-        Winsorized.
     hypotheses : tuple of Hypothesis or AR1
     log_evidence : array, shape (H,)
         Log Bayes factor of each hypothesis.
@@ -365,27 +365,26 @@ def compute_misfit(
     causes = [classify_cause(hypothesis) for hypothesis in hypotheses]
     weight = weigh_hypotheses(hypotheses, causes)
     own = batch.log_evidence(linearized.residual[:, None])[:, 0]
-    left = remove_structure(linearized.residual, hypotheses, own)
-    residual, bound = winsorize(linearized, left.residual)
-    if residual is not linearized.residual:
-        own = batch.log_evidence(residual[:, None])[:, 0]
     by_cause = average_by_cause(causes, weight, own)
-    statistic, null = float(logsumexp(list(by_cause.values()))), np.zeros(0)
-    share = np.nan
+    statistic, null, share = -np.inf, np.zeros(0), np.nan
 
     def simulate(draw_noise: NoiseSampler, number: int) -> tuple[Array, float]:
         """The statistic in samples of noise, and the share of at least the log's."""
         null = np.zeros(0)
         size = min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), batch.n_directions), 1))
         for first in range(0, number, size):
-            noise = np.clip(draw_noise(min(size, number - first)), -bound, bound)
+            noise = winsorize(draw_noise(min(size, number - first)))
             null = np.concatenate([null, batch.log_mean_evidence(linearized.project(noise), weight)])
             if max_exceedances is not None and np.sum(null >= statistic) >= max_exceedances:
                 break
         return null, (1 + int(np.sum(null >= statistic))) / (1 + len(null))
 
     if n_bootstrap:
-        standardized = left.residual / np.sqrt(1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE))
+        left = remove_structure(linearized.residual, hypotheses, own)
+        shrinkage = np.sqrt(1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE))
+        standardized = left.residual / shrinkage
+        within = linearized.project(winsorize(linearized.residual / shrinkage) * shrinkage)
+        statistic = float(batch.log_mean_evidence(within[:, None], weight)[0])
         wild = _make_wild_sampler(linearized, left, rng)
         student = _make_student_sampler(standardized, rng)
         sampler = wild or student
@@ -405,7 +404,7 @@ def compute_misfit(
                 null, share = heavy_tailed, its_share
     p_value = min(p_value_factor * share, 1.0)
     return Misfit(
-        residual,
+        linearized.residual,
         tuple(hypotheses),
         own,
         by_cause,
@@ -416,17 +415,10 @@ def compute_misfit(
     )
 
 
-def winsorize(linearized: LinearizedFit, left: Array) -> tuple[Array, float]:
-    """Residuals whose part beside a structure, `left`, is within `MAX_DEVIATION`, shape (n,); and that bound.
-
-    The residuals themselves where all are; the bound is on rows before calibration is projected out.
-    """
-    shrinkage = np.sqrt(1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE))
-    bound = MAX_DEVIATION * float(np.sqrt(np.mean((left / shrinkage) ** 2)))
-    excess = left - np.clip(left, -bound * shrinkage, bound * shrinkage)
-    if not np.any(excess):
-        return linearized.residual, bound
-    return linearized.project(linearized.residual - excess), bound
+def winsorize(columns: Array) -> Array:
+    """Columns, shape (n,) or (n, k), cut off at `MAX_DEVIATION` times the rms of each."""
+    bound = MAX_DEVIATION * np.sqrt(np.mean(columns**2, axis=0))
+    return np.asarray(np.clip(columns, -bound, bound))
 
 
 NoiseSampler = Callable[[int], Array]

@@ -39,10 +39,8 @@ def test_a_small_p_value_is_that_of_heavy_tails_where_noise_has_them(rows, linea
         return logsumexp(batch.log_evidence(residuals), axis=0)
 
     df = rng.choice(TAIL_DF, 12_000, p=_tail_probabilities(linearized.residual))
-    within, bound = winsorize(linearized, linearized.residual)
-    samples = np.sqrt((df - 2.0) / df) * rng.standard_t(df, (len(rows), len(df)))
-    simulated = statistic(linearized.project(np.clip(samples, -bound, bound)))
-    expected = np.mean(simulated >= statistic(within[:, None]))
+    simulated = statistic(linearized.project(winsorize(rng.standard_t(df, (len(rows), len(df))))))
+    expected = np.mean(simulated >= statistic(linearized.project(winsorize(linearized.residual))[:, None]))
     assert 0.003 < expected < 0.05
     found = [compute_misfit(linearized, tried, 499, rng) for _ in range(8)]
     # Of 8 x 2000 samples some 80 lie above: four standard errors of their number, and of that of `simulated`.
@@ -62,11 +60,16 @@ def test_one_row_far_out_does_not_hide_an_effect_that_many_rows_share(rows, line
     found = compute_misfit(linearized, tried, 1999, rng)
     assert max(found.log_evidence_by_cause, key=found.log_evidence_by_cause.__getitem__) == "half"
     assert found.p_value < 0.005
-    # The bound is no smaller than what noise alone makes of nearly all rows.
-    within, bound = winsorize(linearized, linearized.residual)
-    cut = np.abs(linearized.residual - within) > 0.2 * np.sqrt(np.mean(within**2))
-    assert np.flatnonzero(cut).tolist() == [33]
-    assert np.abs(within).max() < 1.1 * bound
+
+
+def test_residuals_are_cut_off_at_multiples_of_their_own_rms():
+    columns = np.random.default_rng(1).standard_normal((4000, 2)) * [1.0, 1e-6]
+    columns[7] = [50.0, -1e-6]
+    within = winsorize(columns)
+    rms = np.sqrt(np.mean(columns**2, axis=0))
+    assert within[7] == pytest.approx([2.5 * rms[0], -1e-6])
+    assert np.array_equal(within != columns, np.abs(columns) > 2.5 * rms)
+    assert winsorize(columns[:, 0]) == pytest.approx(within[:, 0], rel=1e-12)
 
 
 @pytest.mark.parametrize("size", [0.0, 1.0])
