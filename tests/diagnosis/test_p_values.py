@@ -49,7 +49,7 @@ def test_a_small_p_value_is_that_of_heavy_tails_where_noise_has_them(rows, linea
 
 
 def test_one_row_far_out_does_not_hide_an_effect_that_many_rows_share(rows, linearize):
-    """Nine standard deviations, in a row that has a quarter of one of the shapes: it is there in every sample."""
+    """Nine standard deviations in one of the four rows of a shape: they are there in every sample."""
     rng, half = np.random.default_rng(5), np.arange(len(rows)) % 20 < 10
     windows = np.repeat(np.eye(len(rows) // 4), 4, axis=0)
     noise = rng.standard_normal(len(rows))
