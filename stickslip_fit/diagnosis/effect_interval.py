@@ -135,19 +135,34 @@ class _Refit:
 
 
 def _refit(selection: Selection) -> _Refit:
-    """One Gauss-Newton step from the fit of the selection, by the noise as it is expected now."""
+    """One Gauss-Newton step from the fit of the selection, by the noise as it is expected now.
+
+    A law's own choice is no parameter of that fit: what the choice leaves open adds to errors only. As a
+    parameter it would stand for a part of the effects, beyond any difference that the choice can make.
+    """
     fit, problem = selection.fit, expect_noise(selection.problem, selection.linearized)
-    linearized = problem.linearize()
-    slopes = linearized.project(linearized.whiten(compute_cause_jacobian(selection)))
-    residual = linearized.project(linearized.whiten(fit.residual))
-    prior = 1.0 / fit.prior_sd**2
-    size = np.sqrt(np.maximum(np.sum(slopes**2, axis=0) + prior, MIN_LENGTH))
-    information = (slopes.T @ slopes + np.diag(prior)) / np.outer(size, size)
-    covariance = np.linalg.pinv(information, rcond=RANK_TOL, hermitian=True) / np.outer(size, size)
-    values = fit.values + covariance @ (slopes.T @ residual - prior * fit.values)
+    jacobian, prior = compute_cause_jacobian(selection), 1.0 / selection.fit.prior_sd**2
+    linearized = problem.with_laws_as_chosen.linearize()
+    slopes, covariance = _linearize_causes(linearized, jacobian, prior)
+    gradient = slopes.T @ linearized.project(linearized.whiten(fit.residual)) - prior * fit.values
+    values = fit.values + covariance @ gradient
+    if problem.uncertain:
+        _, covariance = _linearize_causes(problem.linearize(), jacobian, prior)
     parameters = [parameter for one in selection.law_causes for parameter in one.version.parameters]
     lower, upper = (np.array([getattr(one, end) for one in parameters]) for end in ("lower", "upper"))
     return _Refit(np.clip(values, lower, upper), covariance)
+
+
+def _linearize_causes(linearized: LinearizedFit, jacobian: Array, prior: Array) -> tuple[Array, Array]:
+    """Slopes of causes' parameters beyond calibration, whitened, (n, q), and the covariance of these, (q, q).
+
+    `jacobian`, (n, q), is of the responses; `prior`, (q,), the parameters' information before.
+    """
+    slopes = linearized.project(linearized.whiten(jacobian))
+    size = np.sqrt(np.maximum(np.sum(slopes**2, axis=0) + prior, MIN_LENGTH))
+    information = (slopes.T @ slopes + np.diag(prior)) / np.outer(size, size)
+    inverse = np.linalg.pinv(information, rcond=RANK_TOL, hermitian=True)
+    return slopes, inverse / np.outer(size, size)
 
 
 def expected_covariance(selection: Selection) -> Array:
