@@ -22,6 +22,7 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import CauseSet, form_cause_set
 from stickslip_fit.diagnosis.combinations import (
     PAIR_MIN_LOG_BAYES_FACTOR,
+    find_beside_unknown,
     find_exchange,
     find_needless,
     first_of_pair,
@@ -178,6 +179,10 @@ def select_causes(
             if pairs.found is not None:
                 following = pairs.found.first
                 combinations.append((following.cause, *pairs.found.others))
+            else:
+                beside = find_beside_unknown(problem, selected, last, level)
+                ahead_of_pairs = min(ahead_of_pairs, beside.behind)
+                following = beside.found.first if beside.found is not None else following
         searched = absorb_unknown((problem, fit, linearized), selected)
         support = assess_support(searched, last, following.cause)
         if support.too_narrow:
