@@ -51,7 +51,7 @@ class Ruler:
         return self.rms_left(change) if effect.absorbed else float(np.sqrt(np.mean(change**2)))
 
     def rms_left(self, change: Array) -> float:
-        """Rms over all rows, with equal weight, of what recalibration leaves of changes of log counts, (n,)."""
+        """Rms over all rows, with equal weight, of what recalibration leaves of changes, (n,)."""
         return float(np.sqrt(np.mean(_off(self._even, change) ** 2)))
 
     def size(self, effect: Effect, strength: float) -> float | None:

@@ -121,7 +121,7 @@ def test_two_causes_are_both_found(design, causes, strength):
 
 
 def test_a_cause_is_found_that_structure_beside_it_would_take_up():
-    """Memory of what both do is likelier than the cause alone; the cause and memory of the rest are likelier."""
+    """Memory of both is likelier than the cause alone, but not than the cause and memory of the rest."""
     hidden = hide("session", ("recoil-axis", "unknown:memory"), 20.0, seed=1)
     found = ssf.diagnose(read(hidden), gain=False).findings
     assert [one.cause for one in found] == ["recoil-axis", "unknown"]
