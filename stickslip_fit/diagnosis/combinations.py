@@ -2,10 +2,11 @@
 
 Forward selection fails in three ways. Two effects may act so that neither alone explains more than
 unstructured alternatives do: pairs are tried before `unknown` is said (`first_of_pair`). Unstructured
-alternatives may take up a cause beside them: before the search ends with `unknown`, a cause with such structure
-beside it is compared with that alone (`find_beside_unknown`). Or a wrong cause may explain more alone than
-either of two right ones: each selected cause is compared with its close rivals, another cause added to these
-(`find_exchange`). At the end, causes that the others make needless are dropped (`find_needless`).
+alternatives may take up a cause beside them: before the search ends with `unknown`, a cause with such
+structure beside it is compared with that alone (`find_beside_unknown`). Or a wrong cause may
+explain more alone than either of two right ones: each selected cause is compared with its close rivals,
+another cause added to these (`find_exchange`). At the end, causes that the others make needless are dropped
+(`find_needless`).
 """
 
 from __future__ import annotations

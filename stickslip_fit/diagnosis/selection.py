@@ -174,7 +174,10 @@ def select_causes(
         """A cause in the place of unknown structure that would end the search, if likelier beside such."""
         *others, unknown = chosen
         beside = find_beside_unknown(problem, others, misfit, level)
-        if beside.found and not assess_support(searched, misfit, beside.found.first.cause).too_narrow:
+        if (
+            beside.found is not None
+            and not assess_support(searched, misfit, beside.found.first.cause).too_narrow
+        ):
             return [*others, beside.found.first]
         return [*others, replace(unknown, ahead_of_pairs=min(unknown.ahead_of_pairs, beside.behind))]
 
