@@ -1,9 +1,11 @@
 """Combinations: causes that show only together, and causes revised with the others in the law.
 
-Forward selection fails in two ways. Two effects may act so that neither alone explains more than unstructured
-alternatives do: pairs are tried before `unknown` is said (`first_of_pair`). Or a wrong cause may explain
-more alone than either of two right ones: each selected cause is compared with its close rivals, another
-cause added to these (`find_exchange`). At the end, causes that the others make needless are dropped
+Forward selection fails in three ways. Two effects may act so that neither alone explains more than
+unstructured alternatives do: pairs are tried before `unknown` is said (`first_of_pair`). Unstructured
+alternatives may take up a cause beside them: before the search ends with `unknown`, a cause with such
+structure beside it is compared with that alone (`find_beside_unknown`). Or a wrong cause may
+explain more alone than either of two right ones: each selected cause is compared with its close rivals,
+another cause added to these (`find_exchange`). At the end, causes that the others make needless are dropped
 (`find_needless`).
 """
 
@@ -28,7 +30,13 @@ from stickslip_fit.diagnosis.extension import (
 )
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis, compute_effects
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
-from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, batch_hypotheses, classify_cause
+from stickslip_fit.diagnosis.misfit import (
+    UNKNOWN,
+    Misfit,
+    batch_hypotheses,
+    classify_cause,
+    weigh_hypotheses,
+)
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
 
@@ -102,6 +110,35 @@ def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], 
     if lacking[-1] < 0:
         return PairSearch(Combination(both[0], (both[1].cause, third)))
     return PairSearch(None, min(lacking))
+
+
+def find_beside_unknown(
+    problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit, level: float
+) -> PairSearch:
+    """A cause that with structure without a name beside it is likelier than such structure alone, if any.
+
+    Structure without a name takes up a cause that acts like it in part, and both would have one size. The
+    margin is as of `find_exchange`.
+    """
+    evidence = misfit.log_evidence_by_cause
+    causes = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] > PAIR_MIN_LOG_BAYES_FACTOR]
+    if problem.autocorrelation is not None or not causes:
+        return PairSearch(None)
+    shapes = [one for one in misfit.hypotheses if classify_cause(one) == UNKNOWN]
+    left = np.stack([_without(misfit, cause) for cause in causes], axis=1)
+    if misfit.basis is not None:  # directions of one session need not be orthogonal to shared parameters
+        left -= misfit.basis @ (misfit.basis.T @ left)
+    weight = weigh_hypotheses(shapes, [UNKNOWN] * len(shapes))
+    beside = batch_hypotheses(shapes, problem.linearize().df).log_mean_evidence(left, weight)
+    together = {cause: evidence[cause] + float(more) for cause, more in zip(causes, beside, strict=True)}
+    to_beat = evidence[UNKNOWN] + float(np.log(len(evidence) / level))
+    test = replace(misfit, log_evidence_by_cause={**evidence, **together})
+    one = make_selected(test, form_cause_set(test, max(causes, key=lambda cause: together[cause])))
+    behind = to_beat - together[one.cause]
+    if behind < 0:
+        _, _, unknown = _next_cause(extend_problem(problem, [*selected, one]), [*selected, one])
+        behind = to_beat - evidence[one.cause] - unknown
+    return PairSearch(Combination(one, (UNKNOWN,)) if behind < 0 else None, behind)
 
 
 def _next_cause(

@@ -21,6 +21,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
 from stickslip_fit.diagnosis.hypotheses import compute_changes
 from stickslip_fit.diagnosis.linearized import LinearizedFit, RowSubset, linearize_fit
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN, StructureRemoved, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, compute_cause_jacobian
@@ -135,19 +136,20 @@ class _Refit:
 
 
 def _refit(selection: Selection) -> _Refit:
-    """One Gauss-Newton step from the fit of the selection, by the noise as it is expected now."""
+    """One Gauss-Newton step from the fit of the selection, by the noise as it is expected now.
+
+    A law's own choice is no parameter of that fit: what the choice leaves open adds to errors only. As a
+    parameter it would stand for a part of the effects, beyond any difference that the choice can make.
+    """
     fit, problem = selection.fit, expect_noise(selection.problem, selection.linearized)
-    linearized = problem.linearize()
-    slopes = linearized.project(linearized.whiten(compute_cause_jacobian(selection)))
-    residual = linearized.project(linearized.whiten(fit.residual))
-    prior = 1.0 / fit.prior_sd**2
-    size = np.sqrt(np.maximum(np.sum(slopes**2, axis=0) + prior, MIN_LENGTH))
-    information = (slopes.T @ slopes + np.diag(prior)) / np.outer(size, size)
-    covariance = np.linalg.pinv(information, rcond=RANK_TOL, hermitian=True) / np.outer(size, size)
-    values = fit.values + covariance @ (slopes.T @ residual - prior * fit.values)
+    prior, chosen = 1.0 / fit.prior_sd**2, problem.with_laws_as_chosen
+    linearized, slopes, inverse = _linearize_causes(chosen, selection)
+    values = fit.values + inverse @ (slopes.T @ linearized.residual - prior * fit.values)
+    if problem.uncertain:
+        _, slopes, inverse = _linearize_causes(problem, selection)
     parameters = [parameter for one in selection.law_causes for parameter in one.version.parameters]
     lower, upper = (np.array([getattr(one, end) for one in parameters]) for end in ("lower", "upper"))
-    return _Refit(np.clip(values, lower, upper), covariance)
+    return _Refit(np.clip(values, lower, upper), _covariance(selection, slopes, inverse))
 
 
 def expected_covariance(selection: Selection) -> Array:
@@ -160,14 +162,33 @@ def expected_covariance(selection: Selection) -> Array:
     if not selection.law_causes:
         return np.zeros((0, 0))
     problem = selection.problem
-    linearized, expected = problem.linearize(), expect_noise(problem, selection.linearized)
+    _, slopes, inverse = _linearize_causes(problem, selection)
+    times = expect_noise(problem, selection.linearized).scale / problem.scale
+    return _covariance(selection, slopes * times[:, None], inverse)
+
+
+def _linearize_causes(problem: DiagnosisProblem, selection: Selection) -> tuple[LinearizedFit, Array, Array]:
+    """The laws with causes, calibration projected out, the causes' slopes and inverse information.
+
+    Slopes are whitened, (n, q); the information, (q, q), is that of the rows and the parameters' priors.
+    """
+    fit = selection.fit
+    linearized = problem.linearize_extended(replace(fit, at_bound=np.ones_like(fit.at_bound)))
     slopes = linearized.project(linearized.whiten(compute_cause_jacobian(selection)))
-    prior = 1.0 / selection.fit.prior_sd**2
+    prior = 1.0 / fit.prior_sd**2
     size = np.sqrt(np.maximum(np.sum(slopes**2, axis=0) + prior, MIN_LENGTH))
-    slopes, prior = slopes / size, np.diag(prior / size**2)
-    inverse = np.linalg.pinv(slopes.T @ slopes + prior, rcond=RANK_TOL, hermitian=True)
-    noisy = slopes * (expected.scale / problem.scale)[:, None]
-    return np.asarray(inverse @ (noisy.T @ noisy + prior) @ inverse / np.outer(size, size))
+    information = (slopes.T @ slopes + np.diag(prior)) / np.outer(size, size)
+    inverse = np.linalg.pinv(information, rcond=RANK_TOL, hermitian=True)
+    return linearized, slopes, inverse / np.outer(size, size)
+
+
+def _covariance(selection: Selection, slopes: Array, inverse: Array) -> Array:
+    """Of parameters estimated by slopes, (n, q), in units of the noise, which memory may correlate."""
+    for one in selection.selected:
+        memory = one.misfit.best_hypothesis(UNKNOWN) if one.cause == UNKNOWN and one.misfit else None
+        if isinstance(memory, AR1) and one.version is None and memory.sequences.onto is None:
+            slopes = memory.correlate(slopes)
+    return np.asarray(inverse @ (slopes.T @ slopes + np.diag(1.0 / selection.fit.prior_sd**2)) @ inverse)
 
 
 def expect_noise(

@@ -440,6 +440,14 @@ class AR1:
         """Prediction of each residual from the one before, shape (n,)."""
         return np.where(self.before >= 0, self.coefficient * residual[self.before], 0.0)
 
+    def correlate(self, columns: Array) -> Array:
+        """Columns whose products are those of (n, q) under stationary memory's correlations, (n, q)."""
+        summed = columns.copy()
+        for row in np.flatnonzero(self.before >= 0)[::-1]:
+            summed[self.before[row]] += self.coefficient * summed[row]
+        rest = np.where(self.before >= 0, np.sqrt(1.0 - self.coefficient**2), 1.0)
+        return np.asarray(summed * rest[:, None])
+
 
 def log_memory_evidence(ar1s: Sequence[AR1], residuals: Array, df: int) -> list[Array]:
     """The evidence of each, shape (k,), in residuals, shape (n, k)."""

@@ -22,6 +22,7 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import CauseSet, form_cause_set
 from stickslip_fit.diagnosis.combinations import (
     PAIR_MIN_LOG_BAYES_FACTOR,
+    find_beside_unknown,
     find_exchange,
     find_needless,
     first_of_pair,
@@ -167,6 +168,19 @@ def select_causes(
         searched, names = absorb_unknown(extension, selected), name_explained(selected)
         return assess_residuals(searched, extension[0], n_bootstrap, rng, names, MAX_EXCEEDANCES)
 
+    def give_way(
+        chosen: Sequence[SelectedCause], searched: LinearizedFit, misfit: Misfit
+    ) -> list[SelectedCause]:
+        """A cause in the place of unknown structure that would end the search, if likelier beside such."""
+        *others, unknown = chosen
+        beside = find_beside_unknown(problem, others, misfit, level)
+        if (
+            beside.found is not None
+            and not assess_support(searched, misfit, beside.found.first.cause).too_narrow
+        ):
+            return [*others, beside.found.first]
+        return [*others, replace(unknown, ahead_of_pairs=min(unknown.ahead_of_pairs, beside.behind))]
+
     while last.p_value < level and len(selected) < MAX_CAUSES:
         refits = refit_likeliest(problem, selected, last)
         last, failed = refits.misfit, failed | {*refits.failed}
@@ -189,12 +203,14 @@ def select_causes(
         if following.cause == UNKNOWN:
             chosen[-1] = replace(following, ahead_of_pairs=ahead_of_pairs)
             chosen = propose_term(searched, chosen, problem.expressions, rng)
+            if chosen[-1].version is None or _is_large(chosen[-1].version, len(problem)):
+                chosen = give_way(chosen, searched, last)
             if chosen[-1].version is None:
                 selected = chosen
                 break
-        ends = following.cause == UNKNOWN and _is_large(chosen[-1].version, len(problem))
-        extension = refits.extensions.get(following.cause) or extend_problem(problem, chosen)
-        if selected and following.cause != UNKNOWN:
+        ends = chosen[-1].cause == UNKNOWN and _is_large(chosen[-1].version, len(problem))
+        extension = refits.extensions.get(chosen[-1].cause) or extend_problem(problem, chosen)
+        if selected and chosen[-1].cause != UNKNOWN:
             revised = revise_causes(extension[0], chosen, rng)
             # In another version a cause of the same name has other parameters.
             if [(one.cause, one.version) for one in revised] != [(one.cause, one.version) for one in chosen]:
@@ -203,7 +219,12 @@ def select_causes(
         if ends and not selected:  # nothing follows, and nothing else could be needless
             selected, (problem, fit, linearized) = chosen, extension
             break
-        last = assess(extension, chosen)
+        before, last = last, assess(extension, chosen)
+        if chosen[-1].cause == UNKNOWN and not ends and last.p_value >= level:
+            chosen = give_way(chosen, searched, before)
+            if chosen[-1].cause != UNKNOWN:
+                extension = extend_problem(problem, chosen)
+                last = assess(extension, chosen)
         is_named = chosen[-1].cause != UNKNOWN
         if is_named and (exchange := find_exchange(problem, chosen, extension, last, refits, level)):
             trial = [*chosen[:-1], exchange.first]

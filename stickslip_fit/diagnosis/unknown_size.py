@@ -64,7 +64,8 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
     residual = linearized.residual if selected.version is None else misfit.residual
     shape = _shrink_structure(best, residual)
     if isinstance(best, AR1):
-        effect = estimate_ar1_effect(replace(linearized, residual=residual), best)
+        of_noise = replace(linearized, residual=residual)
+        effect = estimate_ar1_effect(of_noise, best, selection.problem.linearize())
     else:
         effect = _size_structure(selection, replace(selected, cause=strongest), shape, alpha)
     size = np.abs(shape)
@@ -244,11 +245,12 @@ def _kept_shares(structure: Hypothesis, residual: Array) -> Array:
     return np.asarray(signal / (1.0 + signal))
 
 
-def estimate_ar1_effect(linearized: LinearizedFit, ar1: AR1) -> Interval:
+def estimate_ar1_effect(linearized: LinearizedFit, ar1: AR1, baseline: LinearizedFit) -> Interval:
     """Rms of what calibration leaves of what each row keeps of the one before.
 
-    Of `ar1` only the sign and the order of rows are used. Its size is that of the residuals, times what it is
-    of them in simulations.
+    Residuals are those of the law with causes, `linearized`, calibration that of the `baseline`. Of `ar1`
+    only the sign and the order of rows are used. Its size is that of the residuals, times what it is of them
+    in simulations.
     """
     sign, noise = np.sign(ar1.coefficient), np.random.default_rng(0)
     innovations = noise.standard_normal((len(linearized), N_SIMULATIONS))
@@ -257,7 +259,7 @@ def estimate_ar1_effect(linearized: LinearizedFit, ar1: AR1) -> Interval:
     for coefficient in AR1_GRID if ar1.sequences.onto is None else LAG_GRID:
         series = _simulate_ar1(innovations, ar1, sign * coefficient)
         left = linearized.project(series)
-        kept = linearized.project(np.where(ar1.before[:, None] >= 0, series[ar1.before], 0.0))
+        kept = baseline.project(np.where(ar1.before[:, None] >= 0, series[ar1.before], 0.0))
         simulated.append(sign * _lag1_coefficient(left, ar1))
         share.append(coefficient * _rms(kept) / _rms(left))
     limits = np.maximum.accumulate(np.quantile(simulated, QUANTILES_95, axis=1), axis=1)

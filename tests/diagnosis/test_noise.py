@@ -134,7 +134,7 @@ def test_memory_is_as_large_as_calibration_leaves_it(rows, parts, one_way):
         responses = Prismatic().predict(short, part.values) + NOISE * noise
         linearized = linearize_fit(short, [part], responses, np.full(n, 3.0 * NOISE))
         sequences = Sequences.of(before, linearized.basis, onto if one_way else None)
-        effect = estimate_ar1_effect(linearized, AR1("unknown:memory", sequences, 0.5))
+        effect = estimate_ar1_effect(linearized, AR1("unknown:memory", sequences, 0.5), linearized)
         basis = linearized.basis.toarray()
         left = carried - basis @ np.linalg.lstsq(basis, carried, rcond=None)[0]
         truth = NOISE * float(np.sqrt(np.mean(left**2)))

@@ -50,6 +50,22 @@ def test_errors_are_those_of_weighted_least_squares_under_other_noise(named, mon
     assert half == pytest.approx(1.959964 * np.sqrt(np.diag(by_hand)), rel=1e-4)
 
 
+def test_beside_memory_errors_are_those_under_correlated_noise(monkeypatch):
+    """A cause that changes little from one traverse to the next is known less well."""
+    hidden = hide("session", ("recoil-axis", "unknown:memory"), 20.0, seed=1)
+    found = diagnose(read_hidden(hidden), gain=False)
+    selection = found.selection
+    assert [one.cause for one in selection.selected] == ["recoil-axis", "unknown"]
+    problem, q = selection.problem, len(selection.fit.values)
+    monkeypatch.setattr(effect_interval, "expect_noise", lambda *_: problem)
+    coefficient = selection.selected[1].misfit.best_hypothesis("unknown").coefficient
+    distance = np.abs(np.subtract.outer(np.arange(len(problem)), np.arange(len(problem))))  # of one session
+    estimator = np.linalg.pinv(design_matrix(selection) / problem.scale[:, None])[-q:]
+    by_hand = estimator @ coefficient**distance @ estimator.T
+    assert found.findings[1].carrier == "memory"
+    assert expected_covariance(selection) == pytest.approx(by_hand, rel=1e-6)
+
+
 @pytest.mark.nightly
 def test_intervals_of_parameters_hold_their_truth():
     """Of single causes at strength 12 in each noise, where one of those below is named."""

@@ -48,7 +48,11 @@ class Ruler:
     def rms(self, effect: Effect, size: float) -> float:
         """Rms over all rows, with equal weight, of what recalibration leaves of an effect on log counts."""
         change = self._change(effect, size)
-        return float(np.sqrt(np.mean((_off(self._even, change) if effect.absorbed else change) ** 2)))
+        return self.rms_left(change) if effect.absorbed else float(np.sqrt(np.mean(change**2)))
+
+    def rms_left(self, change: Array) -> float:
+        """Rms over all rows, with equal weight, of what recalibration leaves of changes, (n,)."""
+        return float(np.sqrt(np.mean(_off(self._even, change) ** 2)))
 
     def size(self, effect: Effect, strength: float) -> float | None:
         """Size at which an effect has a strength; None where there is no such size."""

@@ -20,6 +20,7 @@ from stickslip_fit.diagnosis import Diagnosis, diagnose
 from stickslip_fit.logs import read_log
 from tests.hidden.catalogue import OUTSIDE
 from tests.hidden.generate import Hidden, UnreachableError, hide, testable
+from tests.hidden.strength import Ruler
 
 DESIGNS = ("session", "thesis", "many")
 NOISES = ("gaussian", "t5", "uneven")
@@ -100,7 +101,7 @@ def score(case: Case, hidden: Hidden) -> Score:
         case, truth, tuple(str(each["form"]) for each in effects), found.p_value,
         tuple(each.cause for each in found.findings),
         found.findings[0].equivalent if found.findings else (),
-        brier, silence, _inside(found, effects, truth),
+        brier, silence, _inside(found, hidden, truth),
         found.findings[0].closest if found.findings else "", time.perf_counter() - began,
     )  # fmt: skip
 
@@ -112,12 +113,17 @@ def _brier(found: Diagnosis, truth: tuple[str, ...]) -> tuple[float, float]:
     return float(brier), float(len(truth))
 
 
-def _inside(found: Diagnosis, effects: list[dict[str, float]], truth: tuple[str, ...]) -> bool | None:
+def _inside(found: Diagnosis, hidden: Hidden, truth: tuple[str, ...]) -> bool | None:
     """Whether the interval of a rightly named effect holds its true size; None where it was not named."""
     if not found.findings or found.findings[0].cause not in truth:
         return None
-    effect, size = found.findings[0].effect, effects[truth.index(found.findings[0].cause)]["effect_rms_pct"]
-    return bool(effect.low * 100 <= size <= effect.high * 100)
+    first, effects = found.findings[0], hidden.truth["effects"]
+    size = effects[truth.index(first.cause)]["effect_rms_pct"]
+    if first.cause == "unknown" and len(found.findings) == 1:
+        # What has no name is everything that is hidden, but single counts.
+        changes = [hidden.effect(act.name) for act in hidden.acts if act.effect.absorbed]
+        size = 100 * Ruler(hidden.campaign).rms_left(np.sum(changes, axis=0))
+    return bool(first.effect.low * 100 <= size <= first.effect.high * 100)
 
 
 def main() -> None:

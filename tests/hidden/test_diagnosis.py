@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import binom
 
 import stickslip_fit as ssf
+from tests.hidden.gain_study import read
 from tests.hidden.generate import hide, testable
 from tests.hidden.study import DESIGNS, NOISES, Case, cases, make, score
 
@@ -117,6 +118,15 @@ def test_two_causes_are_both_found(design, causes, strength):
     hidden = hide(design, causes, (strength, strength), seed=4)
     found = score(Case("pair", design, "gaussian", strength, 4), hidden)
     assert set(found.found) == set(causes)
+
+
+def test_a_cause_is_found_that_structure_beside_it_would_take_up():
+    """Memory of both is likelier than the cause alone, but not than the cause and memory of the rest."""
+    hidden = hide("session", ("recoil-axis", "unknown:memory"), 20.0, seed=1)
+    found = ssf.diagnose(read(hidden), gain=False).findings
+    assert [one.cause for one in found] == ["recoil-axis", "unknown"]
+    for one, true in zip(found, hidden.truth["effects"], strict=True):
+        assert one.effect.low < true["effect_rms_pct"] / 100 < one.effect.high
 
 
 @pytest.mark.parametrize(

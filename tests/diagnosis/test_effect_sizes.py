@@ -1,0 +1,60 @@
+"""Sizes of a cause and of structure without a name beside it, each of what it alone changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from stickslip_fit.diagnosis import diagnose
+from stickslip_fit.diagnosis.effect_size import size_findings
+from tests.hidden.gain_study import read as read_hidden
+from tests.hidden.generate import hide
+
+WARM_UP, HIDDEN = "thermal-warm-up", "unknown:product"
+
+
+def hide_both(strengths):
+    forms = {WARM_UP: "table", HIDDEN: "load and hours"}
+    return hide("session", (WARM_UP, HIDDEN), strengths, seed=0, forms=forms)
+
+
+@pytest.fixture(scope="module", params=[(12.0, 25.0), (25.0, 12.0)], ids=["structure first", "cause first"])
+def both(request):
+    """What is hidden, and what the diagnosis finds."""
+    hidden = hide_both(request.param)
+    return hidden, diagnose(read_hidden(hidden), gain=False)
+
+
+def sizes(findings):
+    return {one.cause: one.effect for one in findings}
+
+
+def truths(hidden):
+    effects = hidden.truth["effects"]
+    return {one["name"].split(":")[0]: one["effect_rms_pct"] / 100 for one in effects}
+
+
+def test_a_cause_and_structure_beside_it_have_their_own_sizes(both):
+    hidden, found = both
+    size, truth = sizes(found.findings), truths(hidden)
+    assert size.keys() == truth.keys()
+    for name, true in truth.items():
+        assert size[name].low <= true <= size[name].high
+        assert size[name].high - size[name].low < 0.6 * true
+
+
+def test_what_the_choice_of_a_law_leaves_open_adds_to_errors_alone(both):
+    """As a parameter of its own, a choice that nearly does what the structure does would stand for it."""
+    hidden, found = both
+    selection, truth = found.selection, truths(hidden)["unknown"]
+    problem = selection.problem
+    # With the residuals in it, data would ask for more of it than any choice has.
+    open_changes = hidden.effect(HIDDEN) + 0.3 * selection.linearized.unwhiten(selection.linearized.residual)
+    uncertain = tuple((part.rows, open_changes[part.rows, None]) for part in problem.parts)
+    other = replace(selection, problem=replace(problem, uncertain=uncertain))
+    before = sizes(size_findings(selection, problem, found.alpha))["unknown"]
+    after = sizes(size_findings(other, other.problem, found.alpha))["unknown"]
+    assert after.estimate == pytest.approx(before.estimate, rel=0.1)
+    assert after.low <= truth <= after.high
+    assert after.high - after.low > 1.2 * (before.high - before.low)
