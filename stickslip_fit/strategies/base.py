@@ -323,49 +323,96 @@ def plan_law(law: StepLaw, task: CalibrationTask, measured: pd.DataFrame) -> Cal
                 if not known
             )
             raise NotApplicable(f"its {len(measured)} traverses leave {undetermined} open")
-        return make_predictor(law, estimate.values, estimate.covariance)
+        return LawPredictor(law, estimate.values, estimate.covariance)
 
     return CalibrationPlan((LawFit(law, measured, task.repeatability),), finish)
 
 
 def solve_together(fits: Sequence[LawFit]) -> list[LawEstimate]:
     """Solve each fit by itself, all those of one law, or of one law with the same fixed causes, in one go."""
-    places: dict[tuple[int, ...], list[int]] = {}
-    for place, fit in enumerate(fits):
-        causes = fit.law.extended if isinstance(fit.law, FixedCauseLaw) else None
-        family = (id(fit.law),) if causes is None else (id(causes.law), id(causes.causes))
-        places.setdefault(family, []).append(place)
     estimates: dict[int, LawEstimate] = {}
-    for own in places.values():
+    for own in _group_families([fit.law for fit in fits]):
         solution = _solve_family([fits[place] for place in own])
         found = zip(solution.values, solution.known, solution.covariance, strict=True)
         estimates |= {place: LawEstimate(*each) for place, each in zip(own, found, strict=True)}
     return [estimates[place] for place in range(len(fits))]
 
 
+def _group_families(laws: Sequence[StepLaw]) -> list[list[int]]:
+    """Positions of those that are one law, or one law with the same causes of other sizes."""
+    places: dict[tuple[int, ...], list[int]] = {}
+    for place, law in enumerate(laws):
+        causes = law.extended if isinstance(law, FixedCauseLaw) else None
+        family = (id(law),) if causes is None else (id(causes.law), id(causes.causes))
+        places.setdefault(family, []).append(place)
+    return list(places.values())
+
+
+def _join_family(laws: Sequence[StepLaw], number: IntArray) -> StepLaw:
+    """The law of rows that are each of the law with their number, shape (n,); one family."""
+    first = laws[0]
+    if not isinstance(first, FixedCauseLaw):
+        return first
+    sizes = np.array([law.sizes for law in laws if isinstance(law, FixedCauseLaw)])
+    return FixedCauseLaw(first.law, first.extended.causes, sizes[number])
+
+
 def _solve_family(fits: Sequence[LawFit]) -> LawSolution:
-    """Fits whose laws differ in the sizes of fixed causes only."""
-    law, number = fits[0].law, np.repeat(np.arange(len(fits)), [len(fit.measured) for fit in fits])
+    laws, number = [fit.law for fit in fits], np.repeat(np.arange(len(fits)), [len(f.measured) for f in fits])
     rows = pd.concat([fit.measured for fit in fits])
     # A number in place of the session makes each fit a group of its own; causes may act in a session by name.
-    problem = single_problem(law, rows.assign(session=number), DEFAULT_OPTIONS)
-    sizes = np.array([fit.law.sizes for fit in fits if isinstance(fit.law, FixedCauseLaw)])
+    problem = single_problem(laws[0], rows.assign(session=number), DEFAULT_OPTIONS)
 
     def model(some: IntArray) -> Model:
-        own = law
-        if isinstance(law, FixedCauseLaw):
-            own = FixedCauseLaw(law.law, law.extended.causes, sizes[number[some]])
-        return own.model(rows.iloc[some])
+        return _join_family(laws, number[some]).model(rows.iloc[some])
 
     problem = replace(problem, model=model(np.arange(len(rows))), subset=model)
     return _solve(problem, np.array([fit.repeatability for fit in fits])[number])
 
 
-def make_predictor(law: StepLaw, values: Array, covariance: Array) -> Predictor:
-    """Predict by parameters, shape (p,), that are uncertain by a covariance, shape (p, p)."""
+@dataclass(frozen=True, eq=False)
+class LawPredictor:
+    """A `Predictor` by parameters, shape (p,), that are uncertain by a covariance, shape (p, p)."""
 
-    def predict(rows: pd.DataFrame) -> tuple[Array, Array]:
-        response, jacobian = law.model(rows)(np.broadcast_to(values, (len(rows), len(values))))
-        return response, response_sd(jacobian, covariance)
+    law: StepLaw
+    values: Array
+    covariance: Array
 
-    return predict
+    def __call__(self, rows: pd.DataFrame) -> tuple[Array, Array]:
+        """See `Predictor`."""
+        return predict_together([self], rows)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class CombinedPredictor:
+    """A `Predictor` that makes one prediction of those by several laws."""
+
+    parts: Sequence[LawPredictor]
+    combine: Callable[[Sequence[tuple[Array, Array]]], tuple[Array, Array]]
+
+    def __call__(self, rows: pd.DataFrame) -> tuple[Array, Array]:
+        """See `Predictor`."""
+        return predict_together([self], rows)[0]
+
+
+def predict_together(
+    predictors: Sequence[LawPredictor | CombinedPredictor], rows: pd.DataFrame
+) -> list[tuple[Array, Array]]:
+    """What each predicts of the same rows; one law, or one law with the same fixed causes, in one go."""
+    parts = [one.parts if isinstance(one, CombinedPredictor) else [one] for one in predictors]
+    laws = [part for own in parts for part in own]
+    found: dict[int, tuple[Array, Array]] = {}
+    for own in _group_families([part.law for part in laws]):
+        family = [laws[place] for place in own]
+        number, row = np.divmod(np.arange(len(own) * len(rows)), len(rows))
+        law = _join_family([part.law for part in family], number)
+        response, jacobian = law.model(rows.iloc[row])(np.array([part.values for part in family])[number])
+        each = zip(np.split(response, len(own)), np.split(jacobian, len(own)), family, strict=True)
+        predicted = [(mean, response_sd(slopes, part.covariance)) for mean, slopes, part in each]
+        found |= dict(zip(own, predicted, strict=True))
+    each_part = iter(found[place] for place in range(len(laws)))
+    by_predictor = [[next(each_part) for _ in own] for own in parts]
+    return [
+        one.combine(own) if isinstance(one, CombinedPredictor) else own[0]
+        for one, own in zip(predictors, by_predictor, strict=True)
+    ]

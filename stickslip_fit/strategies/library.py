@@ -26,13 +26,14 @@ from stickslip_fit.logs import Log
 from stickslip_fit.strategies.base import (
     CalibrationPlan,
     CalibrationTask,
+    CombinedPredictor,
     LawEstimate,
+    LawPredictor,
     NotApplicable,
     PlannedStrategy,
     Predictor,
     SessionSelector,
     Strategy,
-    make_predictor,
     other_sessions,
     plan_calibration,
     plan_law,
@@ -105,7 +106,7 @@ class Hierarchical:
         session = list(data.groups.table["session"]).index(task.session)
         z, covariance = _session_posterior(marginal.conditional(mode[None]), session)
         values = prior.centre + prior.width * z
-        return make_predictor(task.law, values, covariance * np.outer(prior.width, prior.width))
+        return LawPredictor(task.law, values, covariance * np.outer(prior.width, prior.width))
 
 
 def _session_posterior(posterior: ConditionalPosterior, session: int) -> tuple[Array, Array]:
@@ -164,20 +165,22 @@ class WithCauses(PlannedStrategy):
         ends = np.cumsum([len(plan.fits) for plan in plans])
         covariance = known.covariance[np.ix_(uncertain, uncertain)]
 
+        def combine(predicted: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+            (mean, sd), *changed = predicted
+            responses = np.array([response for response, _ in changed])
+            upper, lower = responses.reshape(2, len(uncertain), len(mean))
+            jacobian = (upper - lower).T / (2 * steps.sum(axis=1))
+            return mean, np.hypot(sd, response_sd(jacobian, covariance))
+
         def finish(estimates: Sequence[LawEstimate]) -> Predictor:
-            centre, *changed = (
+            parts = [
                 plan.finish(estimates[end - len(plan.fits) : end])
                 for plan, end in zip(plans, ends, strict=True)
-            )
-
-            def predict(rows: pd.DataFrame) -> tuple[Array, Array]:
-                mean, sd = centre(rows)
-                responses = np.array([one(rows)[0] for one in changed])
-                upper, lower = responses.reshape(2, len(uncertain), len(rows))
-                jacobian = (upper - lower).T / (2 * steps.sum(axis=1))
-                return mean, np.hypot(sd, response_sd(jacobian, covariance))
-
-            return predict
+            ]
+            laws = [part for part in parts if isinstance(part, LawPredictor)]
+            if len(laws) == len(parts):
+                return CombinedPredictor(laws, combine)
+            return lambda rows: combine([part(rows) for part in parts])
 
         return CalibrationPlan([fit for plan in plans for fit in plan.fits], finish)
 
