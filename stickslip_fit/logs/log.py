@@ -305,8 +305,10 @@ class Log(Summarized):
         check_frame(self.rows, self.machine)
         rows = self.rows[self.rows["status"] == "ok"].reset_index(drop=True)
         rows.columns = rows.columns.astype(object)
-        texts = rows.dtypes == "str"
-        return rows.astype(dict.fromkeys(rows.columns[texts], object))
+        for name in rows.columns[rows.dtypes == "str"]:
+            # Of all columns at once, `astype` takes five times as long.
+            rows[name] = pd.Series(rows[name].to_numpy(object), dtype=object)
+        return rows
 
     def select(self, mask: npt.ArrayLike) -> Log:
         """Only the rows where `mask` is true, with their history in the whole log."""
