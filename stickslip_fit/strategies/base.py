@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
@@ -240,6 +240,29 @@ def select_first_traverses(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 @dataclass(frozen=True, eq=False)
+class LawEstimate:
+    """Parameters, shape (p,), which of them are known, and their covariance, (p, p), of one fit."""
+
+    values: Array
+    known: BoolArray
+    covariance: Array
+
+
+class Fit(Protocol):
+    """A fit of a law in one session and direction."""
+
+    @property
+    def law(self) -> StepLaw:
+        """The law."""
+        ...
+
+    @classmethod
+    def solve(cls, fits: Sequence[Any]) -> list[LawEstimate]:
+        """Solve some of this kind in one go, each by itself; their laws differ in sizes of causes only."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
 class LawFit:
     """A least-squares fit to the traverses that were measured in one session and direction.
 
@@ -255,14 +278,21 @@ class LawFit:
     measured: pd.DataFrame
     repeatability: float
 
+    @classmethod
+    def solve(cls, fits: Sequence[LawFit]) -> list[LawEstimate]:
+        """See `Fit.solve`."""
+        laws, number = [fit.law for fit in fits], repeat_numbers([fit.measured for fit in fits])
+        rows = pd.concat([fit.measured for fit in fits])
+        # A number for the session makes each fit a group of its own; causes may act in a session by name.
+        problem = single_problem(laws[0], rows.assign(session=number), DEFAULT_OPTIONS)
 
-@dataclass(frozen=True, eq=False)
-class LawEstimate:
-    """Parameters, shape (p,), which of them are known, and their covariance, (p, p), of one fit."""
+        def model(some: IntArray) -> Model:
+            return join_family(laws, number[some]).model(rows.iloc[some])
 
-    values: Array
-    known: BoolArray
-    covariance: Array
+        problem = replace(problem, model=model(np.arange(len(rows))), subset=model)
+        solution = _solve(problem, np.array([fit.repeatability for fit in fits])[number])
+        found = zip(solution.values, solution.known, solution.covariance, strict=True)
+        return [LawEstimate(*each) for each in found]
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +308,7 @@ class CalibrationPlan:
         From an estimate for each fit to the predictor; may raise NotApplicable.
     """
 
-    fits: Sequence[LawFit]
+    fits: Sequence[Fit]
     finish: Callable[[Sequence[LawEstimate]], Predictor]
 
     def calibrate(self) -> Predictor:
@@ -328,13 +358,15 @@ def plan_law(law: StepLaw, task: CalibrationTask, measured: pd.DataFrame) -> Cal
     return CalibrationPlan((LawFit(law, measured, task.repeatability),), finish)
 
 
-def solve_together(fits: Sequence[LawFit]) -> list[LawEstimate]:
-    """Solve each fit by itself, all those of one law, or of one law with the same fixed causes, in one go."""
+def solve_together(fits: Sequence[Fit]) -> list[LawEstimate]:
+    """Solve each fit by itself; those of one kind and law, or law with the same fixed causes, in one go."""
     estimates: dict[int, LawEstimate] = {}
-    for own in _group_families([fit.law for fit in fits]):
-        solution = _solve_family([fits[place] for place in own])
-        found = zip(solution.values, solution.known, solution.covariance, strict=True)
-        estimates |= {place: LawEstimate(*each) for place, each in zip(own, found, strict=True)}
+    kinds: dict[type[Fit], None] = dict.fromkeys(map(type, fits))
+    for kind in kinds:
+        places = [place for place, fit in enumerate(fits) if type(fit) is kind]
+        for family in _group_families([fits[place].law for place in places]):
+            own = [places[k] for k in family]
+            estimates |= dict(zip(own, kind.solve([fits[place] for place in own]), strict=True))
     return [estimates[place] for place in range(len(fits))]
 
 
@@ -348,7 +380,7 @@ def _group_families(laws: Sequence[StepLaw]) -> list[list[int]]:
     return list(places.values())
 
 
-def _join_family(laws: Sequence[StepLaw], number: IntArray) -> StepLaw:
+def join_family(laws: Sequence[StepLaw], number: IntArray) -> StepLaw:
     """The law of rows that are each of the law with their number, shape (n,); one family."""
     first = laws[0]
     if not isinstance(first, FixedCauseLaw):
@@ -357,17 +389,9 @@ def _join_family(laws: Sequence[StepLaw], number: IntArray) -> StepLaw:
     return FixedCauseLaw(first.law, first.extended.causes, sizes[number])
 
 
-def _solve_family(fits: Sequence[LawFit]) -> LawSolution:
-    laws, number = [fit.law for fit in fits], np.repeat(np.arange(len(fits)), [len(f.measured) for f in fits])
-    rows = pd.concat([fit.measured for fit in fits])
-    # A number in place of the session makes each fit a group of its own; causes may act in a session by name.
-    problem = single_problem(laws[0], rows.assign(session=number), DEFAULT_OPTIONS)
-
-    def model(some: IntArray) -> Model:
-        return _join_family(laws, number[some]).model(rows.iloc[some])
-
-    problem = replace(problem, model=model(np.arange(len(rows))), subset=model)
-    return _solve(problem, np.array([fit.repeatability for fit in fits])[number])
+def repeat_numbers(tables: Sequence[pd.DataFrame]) -> IntArray:
+    """The number of each row's table."""
+    return np.repeat(np.arange(len(tables)), [len(table) for table in tables])
 
 
 @dataclass(frozen=True, eq=False)
@@ -405,7 +429,7 @@ def predict_together(
     for own in _group_families([part.law for part in laws]):
         family = [laws[place] for place in own]
         number, row = np.divmod(np.arange(len(own) * len(rows)), len(rows))
-        law = _join_family([part.law for part in family], number)
+        law = join_family([part.law for part in family], number)
         response, jacobian = law.model(rows.iloc[row])(np.array([part.values for part in family])[number])
         each = zip(np.split(response, len(own)), np.split(jacobian, len(own)), family, strict=True)
         predicted = [(mean, response_sd(slopes, part.covariance)) for mean, slopes, part in each]
