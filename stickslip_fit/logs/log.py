@@ -497,7 +497,7 @@ def _note_table(log: Log) -> Table | None:
             str(row["status"]),
             str(row["note"]),
         )
-        for _, row in rows.head(MAX_ROWS).iterrows()
+        for row in rows.head(MAX_ROWS).to_dict("records")
     )
     hidden = len(rows) - len(body)
     note = f"{pluralize(hidden, 'more traverse')} with a note or not fitted: see the log." if hidden else ""
