@@ -327,10 +327,11 @@ def _directions_table(comparison: Comparison, joint: int) -> Table | None:
         return None
     signs = [format_direction(direction) for direction in directions]
     headings = [Column(head, "%", f"direction {sign}") for sign in signs for head in ("rms", "95 % interval")]
+    rows = {(row["strategy"], row["direction"]): row for row in table.to_dict("records")}
     body = []
-    for strategy, own in table.groupby("strategy", sort=False):
+    for strategy in dict.fromkeys(table["strategy"]):
         cells = []
-        for row in own.set_index("direction").loc[directions].to_dict("records"):
+        for row in (rows[strategy, direction] for direction in directions):
             cells.append(format_percent(row["rms_relative"], with_unit=False))
             cells.append(format_percent_range(row["rms_relative_low"], row["rms_relative_high"]))
         body.append((str(strategy), *cells))
@@ -354,6 +355,7 @@ def worst_table(comparison: Comparison, joint: int, max_rows: int = MAX_WORST) -
         *numbers("rms", "worst", unit="%"),
         Column("times scatter"),
     )
+    worst = table.groupby("strategy").head(max_rows).to_dict("records")
     body = tuple(
         (
             strategy,
@@ -367,7 +369,8 @@ def worst_table(comparison: Comparison, joint: int, max_rows: int = MAX_WORST) -
             f"{row['times_scatter']:.1f}",
         )
         for strategy in comparison.compared(joint)
-        for row in table[table["strategy"] == strategy].head(max_rows).to_dict("records")
+        for row in worst
+        if row["strategy"] == strategy
     )
     caption = f"{capitalize_first(joint_name(joint, comparison.machine))}: where each strategy errs most"
     return Table(caption, columns, body, note=WORST_NOTE, folded=True)

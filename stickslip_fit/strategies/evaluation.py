@@ -251,13 +251,14 @@ def _predict(
 def _tabulate_errors(case: EvaluationCase, predictions: Sequence[_Prediction]) -> pd.DataFrame:
     """The rows of `EvaluationTables.errors` of one case, one strategy after the other."""
     place = np.concatenate([one.rows for one in predictions])
+    names = np.array([one.strategy for one in predictions], dtype=object)
     rows = case.rows.iloc[place]
     return rows[["session", "joint", "direction", *POSITION_COLUMNS]].assign(
         traverse=rows.index,
         measured=traverse_length(rows) / expected_steps(rows["steps"], rows["check_every"]),
         predicted=traverse_length(rows) / np.exp(np.concatenate([one.response for one in predictions])),
         sd=np.concatenate([one.sd for one in predictions]),
-        strategy=np.repeat([one.strategy for one in predictions], [len(one.rows) for one in predictions]),
+        strategy=np.repeat(names, [len(one.rows) for one in predictions]),
     )[[*_ERROR_COLUMNS, "strategy"]]
 
 
