@@ -86,6 +86,11 @@ class LawSolution:
     known: BoolArray
     covariance: Array
 
+    def select(self, some: BoolArray) -> LawSolution:
+        """That of some of the groups."""
+        parts = self.values[some], self.known[some], self.covariance[some]
+        return LawSolution(self.groups.select(some), *parts)
+
 
 def solve_law(law: StepLaw, rows: pd.DataFrame, repeatability: float) -> LawSolution:
     """Fit a law to rows, each session and direction by itself.
@@ -121,6 +126,20 @@ class NotApplicable(Exception):
 
 
 @dataclass(frozen=True, eq=False)
+class SessionSolutions:
+    """A law fitted to each session of a direction, which the tasks of these sessions have in common."""
+
+    law: StepLaw
+    rows: pd.DataFrame
+    repeatability: float
+
+    @cached_property
+    def solution(self) -> LawSolution:
+        """All of them, once one is asked for."""
+        return solve_law(self.law, self.rows, self.repeatability)
+
+
+@dataclass(frozen=True, eq=False)
 class CalibrationTask:
     """One joint and direction of a session that is to be calibrated.
 
@@ -135,6 +154,8 @@ class CalibrationTask:
         All usable traverses, counts included, of the other sessions that the calibration may use.
     repeatability : float
         Standard deviation of log(steps), as the lab knows it.
+    by_session : SessionSolutions, optional
+        Of all sessions of the joint and direction, by the joint's law without causes.
     """
 
     session: str
@@ -144,6 +165,7 @@ class CalibrationTask:
     offered: pd.DataFrame
     others: pd.DataFrame
     repeatability: float
+    by_session: SessionSolutions | None = None
 
     @cached_property
     def nominal(self) -> tuple[Array, Array]:
@@ -179,7 +201,10 @@ class CalibrationTask:
     @cached_property
     def solution_of_others(self) -> LawSolution:
         """The law fitted to the other sessions, each by itself."""
-        return solve_law(self.law, self.others, self.repeatability)
+        if self.by_session is None or self.by_session.law is not self.law:
+            return solve_law(self.law, self.others, self.repeatability)
+        solution = self.by_session.solution
+        return solution.select(solution.groups.table["session"].isin(self.others["session"]).to_numpy())
 
     def with_causes(self, known: FixedCauses) -> CalibrationTask:
         """The same task with causes of known size in the law; the same one each time."""

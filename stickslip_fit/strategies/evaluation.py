@@ -30,6 +30,7 @@ from stickslip_fit.strategies.base import (
     NotApplicable,
     Predictor,
     SessionSelector,
+    SessionSolutions,
     Strategy,
     plan_calibration,
     predict_together,
@@ -92,12 +93,13 @@ def make_cases(
         noise = _choose_noise(law, calibration.joints[joint])
         for direction in ("+", "-"):
             own = subset[subset["direction"] == direction]
+            by_session = SessionSolutions(law, own, noise[direction])
             for session in own["session"].unique():
                 measured = own[own["session"] == session]
                 offered = select_first_traverses(measured).drop(columns="steps")
                 others = own[own["session"].isin(session_selector(log.sessions, session))]
                 task = CalibrationTask(
-                    session, direction, law, log.machine, offered, others, noise[direction]
+                    session, direction, law, log.machine, offered, others, noise[direction], by_session
                 )
                 yield EvaluationCase(task, measured)
 
