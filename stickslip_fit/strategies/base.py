@@ -378,7 +378,7 @@ def plan_law(law: StepLaw, task: CalibrationTask, measured: pd.DataFrame) -> Cal
                 if not known
             )
             raise NotApplicable(f"its {len(measured)} traverses leave {undetermined} open")
-        return LawPredictor(law, estimate.values, estimate.covariance)
+        return UncertainLaw(law, estimate.values, estimate.covariance)
 
     return CalibrationPlan((LawFit(law, measured, task.repeatability),), finish)
 
@@ -420,7 +420,7 @@ def repeat_numbers(tables: Sequence[pd.DataFrame]) -> IntArray:
 
 
 @dataclass(frozen=True, eq=False)
-class LawPredictor:
+class UncertainLaw:
     """A `Predictor` by parameters, shape (p,), that are uncertain by a covariance, shape (p, p)."""
 
     law: StepLaw
@@ -436,7 +436,7 @@ class LawPredictor:
 class CombinedPredictor:
     """A `Predictor` that makes one prediction of those by several laws."""
 
-    parts: Sequence[LawPredictor]
+    parts: Sequence[UncertainLaw]
     combine: Callable[[Sequence[tuple[Array, Array]]], tuple[Array, Array]]
 
     def __call__(self, rows: pd.DataFrame) -> tuple[Array, Array]:
@@ -445,7 +445,7 @@ class CombinedPredictor:
 
 
 def predict_together(
-    predictors: Sequence[LawPredictor | CombinedPredictor], rows: pd.DataFrame
+    predictors: Sequence[UncertainLaw | CombinedPredictor], rows: pd.DataFrame
 ) -> list[tuple[Array, Array]]:
     """What each predicts of the same rows; one law, or one law with the same fixed causes, in one go."""
     parts = [one.parts if isinstance(one, CombinedPredictor) else [one] for one in predictors]

@@ -26,12 +26,12 @@ from stickslip_fit.strategies.base import (
     CalibrationTask,
     CombinedPredictor,
     LawEstimate,
-    LawPredictor,
     NotApplicable,
     Predictor,
     SessionSelector,
     SessionSolutions,
     Strategy,
+    UncertainLaw,
     plan_calibration,
     predict_together,
     select_first_traverses,
@@ -225,7 +225,7 @@ def _predict(
     predictors: Sequence[Predictor | NotApplicable],
 ) -> Iterator[tuple[npt.NDArray[np.intp], Array, Array] | NotApplicable]:
     """What each predicts of the traverses that it did not choose: their positions, responses and sd."""
-    laws = [one for one in predictors if isinstance(one, LawPredictor | CombinedPredictor)]
+    laws = [one for one in predictors if isinstance(one, UncertainLaw | CombinedPredictor)]
     try:
         together = dict(zip(map(id, laws), predict_together(laws, case.rows), strict=True))
     except InputError:  # of one of them, which each by itself will tell

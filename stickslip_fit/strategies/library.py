@@ -28,12 +28,12 @@ from stickslip_fit.strategies.base import (
     CalibrationTask,
     CombinedPredictor,
     LawEstimate,
-    LawPredictor,
     NotApplicable,
     PlannedStrategy,
     Predictor,
     SessionSelector,
     Strategy,
+    UncertainLaw,
     join_family,
     other_sessions,
     plan_calibration,
@@ -157,7 +157,7 @@ class Hierarchical(PlannedStrategy):
             (estimate,) = estimates
             if not estimate.known.all():
                 raise NotApplicable(f"joint {task.law.joint} would stall at the centre of the prior")
-            return LawPredictor(task.law, estimate.values, estimate.covariance)
+            return UncertainLaw(task.law, estimate.values, estimate.covariance)
 
         return CalibrationPlan((CampaignFit(task.law, task.others, measured),), finish)
 
@@ -230,7 +230,7 @@ class WithCauses(PlannedStrategy):
                 plan.finish(estimates[end - len(plan.fits) : end])
                 for plan, end in zip(plans, ends, strict=True)
             ]
-            laws = [part for part in parts if isinstance(part, LawPredictor)]
+            laws = [part for part in parts if isinstance(part, UncertainLaw)]
             if len(laws) == len(parts):
                 return CombinedPredictor(laws, combine)
             return lambda rows: combine([part(rows) for part in parts])

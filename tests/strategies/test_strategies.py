@@ -33,7 +33,7 @@ from stickslip_fit.strategies import (
 )
 from stickslip_fit.strategies.base import (
     LawFit,
-    LawPredictor,
+    UncertainLaw,
     predict_together,
     solve_law,
     solve_together,
@@ -175,7 +175,7 @@ def test_predictions_made_together_are_those_of_each_law(warm):
         values, covariance = trial.task.nominal[0], np.diag(1e-16 * np.arange(1.0, p + 1.0))
         laws = [law, *(FixedCauseLaw(law, causes, np.array([size])) for size in (0.002, -0.001)), law]
         predictors = [
-            LawPredictor(one, values * (1 + 0.01 * k), covariance * k) for k, one in enumerate(laws, start=1)
+            UncertainLaw(one, values * (1 + 0.01 * k), covariance * k) for k, one in enumerate(laws, start=1)
         ]
         for one, (mean, sd) in zip(predictors, predict_together(predictors, trial.rows), strict=True):
             response, slopes = one.law.model(trial.rows)(np.tile(one.values, (len(trial.rows), 1)))
