@@ -223,7 +223,7 @@ def step_size_observations(log: Log) -> pd.DataFrame:
             table.loc[subset, f"load_{name}"] = _observation_loads(table[subset], joint, share)
     table["configuration"] = _group_labels(table, columns)
     table["orientation"] = _group_labels(table, ["joint", "theta", "psi"])
-    return table
+    return table.copy()  # few blocks of columns are selected several times as fast
 
 
 def configuration_columns(rows: pd.DataFrame) -> list[str]:
@@ -298,7 +298,7 @@ def _observation_loads(rows: pd.DataFrame, joint: int, share: float) -> np.ndarr
 def _group_labels(rows: pd.DataFrame, by: list[str]) -> pd.Series:
     """The same small text for rows that agree in all of `by`."""
     groups = rows.groupby(["joint", *[name for name in by if name != "joint"]], dropna=False, sort=False)
-    return "c" + groups.ngroup().astype(str)
+    return pd.Series([f"c{number}" for number in groups.ngroup()], rows.index, dtype=object)
 
 
 def design_day_tests(
@@ -364,12 +364,13 @@ def design_normal_force_tests(
     joint = int(rows["joint"].iloc[0])
     if not machine.has_published_geometry:
         return [NotTestable("normal-force", joint, None, None, None, NO_GEOMETRY_REASON)]
-    cells = rows.groupby([*ROTATION_COLUMNS, "session", "direction"], dropna=False)["orientation"]
-    turned = (
-        rows.assign(turned=cells.transform("nunique") > 1)
-        .groupby(ROTATION_COLUMNS, dropna=False)["turned"]
-        .transform("any")
+    cell, place = (
+        rows.groupby(names, dropna=False, sort=False).ngroup().to_numpy()
+        for names in ([*ROTATION_COLUMNS, "session", "direction"], ROTATION_COLUMNS)
     )
+    orientation, orientations = pd.factorize(rows["orientation"])
+    several = np.bincount(np.unique(cell * len(orientations) + orientation) // len(orientations)) > 1
+    turned = np.bincount(place, several[cell])[place] > 0
     if not turned.any():
         return [NotTestable("normal-force", joint, None, None, None, NO_ROTATION_REASON)]
     designs: list[FactorTestDesign | NotTestable] = []

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations, product
+from itertools import combinations
 from math import factorial, prod
 from typing import Literal
 
@@ -266,32 +266,25 @@ def _between_squares(centred: Array, comparison: BlockedComparison) -> Array:
 def _enumerate_orders(comparison: BlockedComparison) -> Iterator[IntArray]:
     """Every distinct assignment of each block's units to its levels, as indices, shape (chunk, n)."""
     blocks = [np.flatnonzero(comparison.block == block) for block in range(int(comparison.block.max()) + 1)]
-    choices = [list(_enumerate_assignments(units, comparison.level[units])) for units in blocks]
-    order = np.concatenate(blocks)
-    back = np.argsort(order)
-    whole = np.array([np.concatenate(parts) for parts in product(*choices)], dtype=np.intp)
-    yield whole[:, back]
+    choices = [_enumerate_assignments(units, comparison.level[units]) for units in blocks]
+    place = np.indices([len(choice) for choice in choices]).reshape(len(choices), -1)
+    whole = np.concatenate([choice[own] for choice, own in zip(choices, place, strict=True)], axis=1)
+    yield whole[:, np.argsort(np.concatenate(blocks))]
 
 
-def _enumerate_assignments(units: IntArray, level: IntArray) -> Iterator[IntArray]:
-    """Each assignment of `units` to the places of `level`, in any order within a level."""
-    present = np.unique(level)
-    places = [np.flatnonzero(level == one) for one in present]
-    for parts in _enumerate_splits(tuple(units), [len(place) for place in places]):
-        assigned = np.empty(len(units), dtype=np.intp)
-        for place, part in zip(places, parts, strict=True):
-            assigned[place] = part
-        yield assigned
-
-
-def _enumerate_splits(units: tuple[int, ...], sizes: list[int]) -> Iterator[list[tuple[int, ...]]]:
-    if len(sizes) == 1:
-        yield [units]
-        return
-    for first in combinations(units, sizes[0]):
-        rest = tuple(unit for unit in units if unit not in first)
-        for others in _enumerate_splits(rest, sizes[1:]):
-            yield [first, *others]
+def _enumerate_assignments(units: IntArray, level: IntArray) -> IntArray:
+    """Each assignment of `units` to the places of `level`, in any order within a level, shape (count, n)."""
+    assigned, left = np.empty((1, len(units)), dtype=np.intp), units[None]
+    for one in np.unique(level):
+        place = np.flatnonzero(level == one)
+        picked = np.array(list(combinations(range(left.shape[1]), len(place))), dtype=np.intp)
+        others = np.ones((len(picked), left.shape[1]), dtype=bool)
+        np.put_along_axis(others, picked, False, axis=1)
+        rest = np.nonzero(others)[1].reshape(len(picked), -1)
+        assigned = np.repeat(assigned, len(picked), axis=0)
+        assigned[:, place] = left[:, picked].reshape(len(assigned), -1)
+        left = left[:, rest].reshape(len(assigned), -1)
+    return assigned
 
 
 def _draw_orders(comparison: BlockedComparison, count: int, seed: int) -> Iterator[IntArray]:

@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import coordinate_unit
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.anova.contrasts import (
     SIGNIFICANCE_LEVEL,
     LevelDifference,
@@ -241,11 +241,16 @@ def _within_cells(rows: pd.DataFrame, columns: Array) -> Array:
 
 
 def _indicators(table: pd.DataFrame, term: Term) -> Array:
+    return indicator_columns(_number_cells(table, term))
+
+
+def _number_cells(table: pd.DataFrame, term: Sequence[str]) -> IntArray:
+    """The combination of the factors in each row, counted from 0, shape (n,)."""
     code = np.zeros(len(table), dtype=np.intp)
     for name in term:
         factor = table[name].to_numpy()
         code = code * (factor.max() + 1) + factor
-    return indicator_columns(np.unique(code, return_inverse=True)[1])
+    return np.unique(code, return_inverse=True)[1]
 
 
 @dataclass(frozen=True)
@@ -306,7 +311,7 @@ class PositionModel:
     @property
     def n_columns(self) -> int:
         """Columns of the largest design matrix."""
-        return sum(self.rows.groupby(list(term)).ngroups for term in self.terms)
+        return sum(int(_number_cells(self.rows, term).max()) + 1 for term in self.terms)
 
     @property
     def replicate_df(self) -> int:
@@ -399,8 +404,11 @@ def _box_epsilon(error: Array, table: pd.DataFrame) -> float:
     if p < 3:
         return 1.0
     others = [name for name in FACTORS if name != POSITION]
-    part = table.assign(error=error, place=table[POSITION].map(order))
-    runs = part.pivot_table("error", index=others, columns="place", aggfunc="mean").to_numpy()
+    places, place = np.unique(order.loc[table[POSITION]], return_inverse=True)
+    number = _number_cells(table, others)
+    shape, cell = (int(number.max()) + 1, len(places)), number * len(places) + place
+    sums, counts = (np.bincount(cell, weight, np.prod(shape)).reshape(shape) for weight in (error, None))
+    runs = np.divide(sums, counts, out=np.full(shape, np.nan), where=counts > 0)
     both = np.isfinite(runs[:, 1:]) & np.isfinite(runs[:, :-1])
     products = np.where(both, runs[:, 1:] * runs[:, :-1], 0.0).sum() / max(both.sum(), 1)
     lag = products / np.nanmean(runs**2)

@@ -111,21 +111,21 @@ def _minimize_deviance(cells: CellStatistics, free: list[int]) -> list[Array]:
 def _profile_deviance(cells: CellStatistics, ratios: Array) -> tuple[float, float]:
     """Deviance at ratios of variances to the replicate's, and the replicate's variance profiled there."""
     present = cells.count > 0
-    own = np.where(present, ratios[1] + 1.0 / np.where(present, cells.count, 1.0), 1.0)
-    weight = np.where(present, 1.0 / own, 0.0)
+    own = np.where(present, ratios[1] + 1.0 / np.maximum(cells.count, 1.0), 1.0)
+    weight = present / own
     total = 1.0 + ratios[0] * weight.sum(axis=1)
     shared = ratios[0] / total
 
-    information = np.diag(weight.sum(axis=0)) - np.einsum("s,si,sj->ij", shared, weight, weight)
-    score = (weight * cells.mean).sum(axis=0) - np.einsum(
-        "s,si,s->i", shared, weight, (weight * cells.mean).sum(axis=1)
-    )
-    residual = np.where(present, cells.mean - np.linalg.solve(information, score), 0.0)
-    between = np.sum(weight * residual**2) - np.sum(shared * (weight * residual).sum(axis=1) ** 2)
+    pull, across = weight * cells.mean, weight.T * shared
+    information = np.diag(weight.sum(axis=0)) - across @ weight
+    score = pull.sum(axis=0) - across @ pull.sum(axis=1)
+    residual = cells.mean - np.linalg.solve(information, score)
+    pull = weight * residual
+    between = np.sum(pull * residual) - shared @ pull.sum(axis=1) ** 2
 
     df = cells.count.sum() - cells.count.shape[1]
     replicate = float((cells.within + between) / df)
-    logarithm = np.sum(np.log(own[present])) + np.sum(np.log(total)) + np.linalg.slogdet(information)[1]
+    logarithm = np.log(own).sum() + np.log(total).sum() + np.linalg.slogdet(information)[1]
     return float(df * np.log(replicate) + logarithm), replicate
 
 

@@ -21,7 +21,7 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._optimize import Groups, minimize
 
 LogDensity = Callable[[Array], Array]
-"""Points, shape (k, d), to log densities, shape (k,); all at once, since one costs as much as many."""
+"""Points, shape (..., k, d), to log densities, (..., k); all at once, since one costs as much as many."""
 
 DIFFERENCE_STEP = 1e-2  # of the finite differences, in standard deviations of the prior
 MIN_CURVATURE = 0.2  # least curvature believed, where the prior alone has 1
@@ -54,20 +54,26 @@ class StudentTProposal:
 
 
 def find_mode(log_density: LogDensity, start: Array) -> tuple[Array, Array]:
-    """Mode, shape (d,), and covariance there, shape (d, d), by Newton's method."""
-    x = start
+    """Mode, shape (..., d), and covariance there, (..., d, d), by Newton's method; each by itself."""
+    x, moves = start, np.ones(start.shape[:-1], dtype=bool)
+    covariance = np.zeros((*x.shape, x.shape[-1]))
     for _ in range(100):
         gradient, curvature = _differentiate(log_density, x)
         value, vector = np.linalg.eigh(-curvature)
-        value = np.maximum(value, MIN_CURVATURE)
-        step = vector @ (vector.T @ gradient / value)
-        step /= max(1.0, float(np.linalg.norm(step)) / 2)
-        trials = x + 2.0 ** -np.arange(12)[:, None] * step
-        x_new = trials[int(np.nanargmax(log_density(trials)))]
-        x, moved = x_new, np.abs(x_new - x).max()
-        if moved < DIFFERENCE_STEP / 10:
+        value = np.maximum(value, MIN_CURVATURE)[..., None, :]
+        inverse = (vector / value) @ vector.swapaxes(-2, -1)
+        step = (inverse @ gradient[..., None])[..., 0]
+        step = step / np.maximum(1.0, np.linalg.norm(step, axis=-1, keepdims=True) / 2)
+        trials = x[..., None, :] + 2.0 ** -np.arange(12)[:, None] * step[..., None, :]
+        best = np.nanargmax(log_density(trials), axis=-1)
+        x_new = np.take_along_axis(trials, best[..., None, None], axis=-2)[..., 0, :]
+        moved = np.abs(x_new - x).max(axis=-1)
+        x = np.where(moves[..., None], x_new, x)
+        covariance = np.where(moves[..., None, None], inverse, covariance)
+        moves = moves & (moved >= DIFFERENCE_STEP / 10)
+        if not moves.any():
             break
-    return x, (vector / value) @ vector.T
+    return x, covariance
 
 
 def fit_proposal(
@@ -92,15 +98,17 @@ def fit_proposal(
 
 def _differentiate(log_density: LogDensity, x: Array) -> tuple[Array, Array]:
     """Gradient and Hessian by central differences, all points in one call."""
-    d = len(x)
+    d = x.shape[-1]
     steps, (i, j) = DIFFERENCE_STEP * np.eye(d), np.triu_indices(d)
     pairs = steps[i] + steps[j]
     points = np.concatenate([[np.zeros(d)], steps, -steps, pairs, -pairs])
-    here, up, down, both_up, both_down = np.split(log_density(x + points), np.cumsum([1, d, d, len(i)]))
+    density = log_density(x[..., None, :] + points)
+    here, up, down, both_up, both_down = np.split(density, np.cumsum([1, d, d, len(i)]), axis=-1)
     gradient = (up - down) / (2 * DIFFERENCE_STEP)
-    alone, both = up + down, np.empty((d, d))
-    both[i, j] = both[j, i] = both_up + both_down
-    hessian = (both - alone[:, None] - alone[None, :] + 2 * here) / (2 * DIFFERENCE_STEP**2)
+    alone, both = up + down, np.empty((*x.shape, d))
+    both[..., i, j] = both[..., j, i] = both_up + both_down
+    both += 2 * here[..., None] - alone[..., :, None] - alone[..., None, :]
+    hessian = both / (2 * DIFFERENCE_STEP**2)
     return gradient, hessian
 
 
@@ -130,6 +138,8 @@ def solve_spd_batched(matrix: Array, right: Array) -> tuple[Array, Array]:
 @dataclass(frozen=True, eq=False)
 class MarginalLikelihood:
     """The linearized model; sessions S, traverses of a session m, parameters p.
+
+    Of T campaigns, the shapes of all but `z` and of what its methods take begin with T.
 
     Attributes
     ----------
@@ -161,16 +171,19 @@ class MarginalLikelihood:
         x : array, shape (k, p + 1)
             log spread and log repeatability, standard normal under the prior; see `Prior.levels`.
         """
-        return self.conditional(x).log_likelihood - 0.5 * np.sum(x**2, axis=1)
+        return self.conditional(x).log_likelihood.reshape(x.shape[:-1]) - 0.5 * np.sum(x**2, axis=-1)
 
     def conditional(self, x: Array, shift: Array | None = None) -> ConditionalPosterior:
-        """The Gaussians that remain at each x, (k, p + 1); `shift`, (S, m, k), adds to the responses."""
+        """The Gaussians that remain at each x, (k, p + 1); `shift`, (S, m, k), adds to the responses.
+
+        Of T campaigns all k of one come before those of the next.
+        """
         spread, repeatability = self.prior.levels(x)
-        tau = (spread / self.prior.width).T[:, None, :]
-        weight = 1.0 / (repeatability**2 + self.rounding[:, :, None])
-        p = len(tau)
-        sums = np.matmul(self.products.swapaxes(1, 2), weight).swapaxes(0, 1)
-        sums = sums.reshape(p + 1, p + 1, *sums.shape[1:])
+        p = spread.shape[-1]
+        tau = np.moveaxis(spread / self.prior.width, -1, 0).reshape(p, 1, -1)
+        weight = 1.0 / (repeatability[..., None, None, :] ** 2 + self.rounding[..., None])
+        sums = np.moveaxis(np.matmul(self.products.swapaxes(-2, -1), weight), (-2, -3), (0, 1))
+        sums = sums.reshape(p + 1, p + 1, sums.shape[1], -1)
         slopes_response, cost = sums[:p, p], sums[p, p]
         if shift is not None:
             weighted = weight * shift
@@ -186,13 +199,13 @@ class MarginalLikelihood:
         precision = eye + kept.sum(axis=2) / (tau * tau[:, None])[:, :, 0]
         pull = best.sum(axis=1) / tau[:, 0]
         centre, log_det_mean = solve_spd_batched(precision, pull[:, None])
-        log_weight = np.log(np.where(weight > 0, weight / (2 * np.pi), 1.0)).sum(axis=(0, 1))
+        log_weight = np.log(np.where(weight > 0, weight / (2 * np.pi), 1.0)).sum(axis=(-3, -2)).ravel()
         squares = (cost - np.sum(linear_form * best, axis=0)).sum(axis=0) - np.sum(
             pull * centre[:, 0], axis=0
         )
         log_likelihood = 0.5 * (log_weight - log_det.sum(axis=0) - log_det_mean - squares)
         return ConditionalPosterior(
-            tau[:, 0], repeatability, form, linear_form, precision, centre[:, 0], log_likelihood
+            tau[:, 0], repeatability.ravel(), form, linear_form, precision, centre[:, 0], log_likelihood
         )
 
 
@@ -242,9 +255,7 @@ class ConditionalPosterior:
 
 def linearize(traverses: GroupData, prior: Prior, z: Array) -> MarginalLikelihood:
     """Linearize each session about its own z, shape (S, p)."""
-    values = (prior.centre + prior.width * z)[traverses.groups.of_row]
-    predicted, slopes = traverses.model(values)
-    slopes = slopes * prior.width
+    predicted, slopes = _session_model(traverses, prior, z[traverses.groups.of_row])
     response = traverses.y - predicted + np.sum(slopes * z[traverses.groups.of_row], axis=1)
     both = np.concatenate([slopes, response[:, None]], axis=1)
     products = (both[:, :, None] * both[:, None, :]).reshape(len(both), -1)
@@ -256,6 +267,13 @@ def linearize(traverses: GroupData, prior: Prior, z: Array) -> MarginalLikelihoo
         traverses.pad(traverses.rounding, np.inf),
         z,
     )
+
+
+def _of_sessions(values: Array, traverses: GroupData) -> Array:
+    """What is the same in all sessions, shape (n,), or in those of a campaign, (T, 1, n), of each: (S, n)."""
+    if traverses.campaign is None:
+        return np.broadcast_to(values, (len(traverses.groups), values.shape[-1]))
+    return np.broadcast_to(values, (len(traverses.row_index), 1, values.shape[-1]))[traverses.campaign, 0]
 
 
 def _draw_with_precision(precision: Array, rng: np.random.Generator) -> Array:
@@ -272,12 +290,14 @@ EXPANSION_TOL = 1e-6  # of the prior's standard deviations; the error of a linea
 def linearize_at_mode(traverses: GroupData, prior: Prior) -> tuple[MarginalLikelihood, Array, Array]:
     """Marginal likelihood of a joint and direction; its mode, (p + 1,), and the covariance there.
 
+    Of T campaigns, each by itself, modes have shape (T, p + 1).
+
     Raises
     ------
     InputError
         If the joint stalls under the prior's own centre.
     """
-    if not np.all(np.isfinite(traverses.model(prior.centre)[0])):
+    if not np.all(np.isfinite(_session_model(traverses, prior, np.zeros(len(prior.names)))[0])):
         raise InputError(
             f"joint {traverses.law.joint} would stall with the parameters at the centre of its prior; "
             "give a centre with step sizes above 0 in every traverse"
@@ -288,8 +308,8 @@ def linearize_at_mode(traverses: GroupData, prior: Prior) -> tuple[MarginalLikel
         z = _session_modes(traverses, prior, z, mean, *levels)
         marginal = linearize(traverses, prior, z)
         x, covariance = find_mode(marginal.log_density, x)
-        mean = marginal.conditional(x[None]).centre[:, 0]
-        levels = prior.levels(x)
+        mean = marginal.conditional(x[..., None, :]).centre.T.reshape(mean.shape)
+        levels = prior.levels(x if traverses.campaign is None else x[:, None])
     return marginal, x, covariance
 
 
@@ -307,8 +327,9 @@ def expected_sessions(traverses: GroupData, prior: Prior, x: Array) -> Array:
 
 def _first_guess(traverses: GroupData, prior: Prior) -> tuple[Array, Array, Array]:
     """Sessions' z, campaign mean and hyperparameters, all at the centre of the prior."""
-    p = len(prior.centre)
-    return np.zeros((len(traverses.groups), p)), np.zeros(p), np.zeros(p + 1)
+    p = len(prior.names)
+    x = np.zeros((*traverses.row_index.shape[:-2], p + 1))
+    return np.zeros((len(traverses.groups), p)), np.zeros(prior.centre.shape), x
 
 
 def _session_modes(
@@ -316,25 +337,31 @@ def _session_modes(
 ) -> Array:
     """Each session's mode z, shape (S, p): least squares with the campaign mean as p more responses."""
     sessions, p = start.shape
-    tau = spread / prior.width
+    tau = _of_sessions(spread / prior.width, traverses)
+    noise = _of_sessions(repeatability[..., None], traverses)[traverses.groups.of_row, 0]
     owner = np.repeat(np.arange(sessions), p)
     n = len(traverses.y)
 
     def with_campaign(z: Array) -> tuple[Array, Array]:
-        predicted, slopes = traverses.model(prior.centre + prior.width * z[:n])
+        predicted, slopes = _session_model(traverses, prior, z[:n])
         own = np.tile(np.arange(p), sessions)
-        return (
-            np.append(predicted, z[np.arange(n, len(z)), own]),
-            np.concatenate([slopes * prior.width, np.eye(p)[own]]),
-        )
+        return np.append(predicted, z[np.arange(n, len(z)), own]), np.concatenate([slopes, np.eye(p)[own]])
 
-    weight = np.append(1.0 / (repeatability**2 + traverses.rounding), np.tile(tau**-2, sessions))
+    weight = np.append(1.0 / (noise**2 + traverses.rounding), tau.ravel() ** -2)
     groups = Groups(traverses.groups.table, np.append(traverses.groups.of_row, owner))
-    y = np.append(traverses.y, np.tile(mean, sessions))
+    y = np.append(traverses.y, _of_sessions(mean, traverses))
     scales = np.ones_like(start)
     return minimize(
         with_campaign, y, weight, groups, start, scales, damping=0.0, tolerance=EXPANSION_TOL
     ).values
+
+
+def _session_model(traverses: GroupData, prior: Prior, z: Array) -> tuple[Array, Array]:
+    """Responses at each row's z, (n, p) or (p,) for all, and their derivatives by z, shape (n, p)."""
+    of_row = traverses.groups.of_row
+    centre, width = (_of_sessions(values, traverses)[of_row] for values in (prior.centre, prior.width))
+    predicted, slopes = traverses.model(centre + width * z)
+    return predicted, slopes * width
 
 
 NUMBERS_PER_CHUNK = 2_000_000  # rows times draws held at a time

@@ -7,7 +7,7 @@ they know the mean step size of the log and the largest plausible size of each c
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from math import e
 from typing import Any
@@ -40,7 +40,9 @@ class GroupData:
     y, rounding : array, shape (n,)
         log(steps) and the variance that the rounding adds; see `StepLaw.response`.
     row_index : array of int, shape (S, m)
-        Positions of each session's rows, -1 beyond its last.
+        Positions of each session's rows, -1 beyond its last. Of T campaigns shape (T, S, m).
+    campaign : array of int, shape (S,), or None
+        Of each session the campaign, where there are several.
     """
 
     law: StepLaw
@@ -49,6 +51,7 @@ class GroupData:
     y: Array
     rounding: Array
     row_index: IntArray
+    campaign: IntArray | None = None
 
     @cached_property
     def model(self) -> Model:
@@ -105,6 +108,22 @@ def build_group_data(law: StepLaw, rows: pd.DataFrame) -> GroupData:
     within = np.arange(len(order)) - (ends - groups.sizes)[groups.of_row[order]]
     row_index[groups.of_row[order], within] = order
     return GroupData(law, rows, groups, y, rounding, row_index)
+
+
+def build_campaigns(law: StepLaw, campaigns: Sequence[pd.DataFrame]) -> GroupData:
+    """The rows of one joint and direction in T campaigns, whose sessions have nothing in common."""
+    rows = pd.concat(campaigns)
+    number = np.repeat(np.arange(len(campaigns)), [len(own) for own in campaigns])
+    code, names = pd.factorize(rows["session"])
+    data = build_group_data(law, rows.assign(session=number * len(names) + code))
+    campaign, session = np.divmod(data.groups.table["session"].to_numpy(np.intp), len(names))
+    table = data.groups.table.assign(session=np.asarray(names, dtype=object)[session])
+    sizes = np.bincount(campaign)
+    within = np.arange(len(campaign)) - (np.cumsum(sizes) - sizes)[campaign]
+    row_index = np.full((len(campaigns), int(sizes.max()), data.row_index.shape[1]), -1)
+    row_index[campaign, within] = data.row_index
+    groups = Groups(table, data.groups.of_row)
+    return replace(data, rows=rows, groups=groups, row_index=row_index, campaign=campaign)
 
 
 def predict_log_steps(law: StepLaw, rows: pd.DataFrame, values: Array) -> Array:
@@ -283,7 +302,7 @@ class Prior:
     names, units : tuple of str
         Of the law's p parameters.
     centre, width : array, shape (p,)
-        Mean and standard deviation of the campaign's mean, SI.
+        Mean and standard deviation of the campaign's mean, SI. Of T campaigns shape (T, 1, p), as is spread.
     spread : array, shape (p,)
         Median of the standard deviation between sessions, SI.
     repeatability : float
@@ -369,18 +388,23 @@ class Priors:
 
 
 def weak_prior(law: StepLaw, rows: Rows) -> Prior:
-    """A prior that knows only the mean step size of these rows.
+    """A prior that knows only the mean step size of these rows; see `weak_priors`."""
+    y, _ = law.response(rows)
+    return prior_from_steps(law, np.exp(np.mean(np.log(traverse_length(rows)) - y, keepdims=True)))
+
+
+def prior_from_steps(law: StepLaw, steps: Array) -> Prior:
+    """The prior that knows a mean step size, shape (1,), or one of each campaign, shape (T, 1).
 
     The campaign's mean has the step size of a law without effects and a standard deviation of half a step;
     sessions differ by 2 % of a step, within a factor of 7 either way, and a count repeats to 0.3 %, likewise.
     """
-    y, _ = law.response(rows)
-    step = np.exp(np.mean(np.log(traverse_length(rows)) - y, keepdims=True))
-    scale = law.scales(step)[0]
+    shape = (*steps.shape[:-1], 1, len(law.parameters)) if steps.ndim > 1 else (len(law.parameters),)
+    scale = law.scales(steps.ravel()).reshape(shape)
     return Prior(
         names=tuple(parameter.name for parameter in law.parameters),
         units=tuple(parameter.unit for parameter in law.parameters),
-        centre=law.start_values(step)[0],
+        centre=law.start_values(steps.ravel()).reshape(shape),
         width=PRIOR_WIDTH * scale,
         spread=PRIOR_SPREAD * scale,
         repeatability=PRIOR_REPEATABILITY,

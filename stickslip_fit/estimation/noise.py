@@ -216,7 +216,7 @@ def row_variance(
     sigma = {
         direction: noise.value if noise.df > 0 else fallback for direction, noise in repeatability.items()
     }
-    forwards = (rows["direction"] == "+").to_numpy()
+    forwards = rows["direction"].to_numpy(dtype=object) == "+"
     level = np.where(forwards, sigma["+"], sigma["-"]) / likelihood.spread
     return np.asarray((level * noise_ratio) ** 2 + rounding)
 

@@ -10,6 +10,7 @@ parameters).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -294,25 +295,26 @@ def summarize_errors(table: pd.DataFrame, by: list[str]) -> pd.DataFrame:
         worst error, absolute (rad or m) and relative (``law_rms``, ``law_rms_relative``, ...), with
         ``law_rms_low`` and ``law_rms_high``, a 95 % interval of the rms for errors that are Gaussian.
     """
-    work, names = table[by].copy(), []
+    number = table.groupby(by, dropna=False, sort=True, observed=True).ngroup().to_numpy()
+    order = np.argsort(number, kind="stable")
+    size = np.bincount(number)
+    first, measured = np.cumsum(size) - size, table["measured"].to_numpy(float)
+    columns: dict[str, npt.NDArray[Any]] = {"traverses": size}
     for model in ("law", "constant"):
-        work[f"{model} "] = table[model] - table["measured"]
-        work[f"{model} _relative"] = table[model] / table["measured"] - 1.0
-        names += [f"{model} ", f"{model} _relative"]
-    groups = work.groupby(by, dropna=False, sort=True, observed=True)
-    errors = groups[names]
-    bias, high, low = errors.mean(), errors.max(), errors.min()
-    rms, worst = np.hypot(bias, errors.std(ddof=0)), high.where(high >= -low, low)
-    columns = {"traverses": groups.size()}
-    for name in names:
-        model, suffix = name.split(" ")
-        for kind, values in {"bias": bias, "rms": rms, "worst": worst}.items():
-            columns[f"{model}_{kind}{suffix}"] = values[name]
-    half_df = columns["traverses"] / 2.0
+        predicted = table[model].to_numpy(float)
+        for suffix, errors in (("", predicted - measured), ("_relative", predicted / measured - 1.0)):
+            own = errors[order]
+            bias = np.add.reduceat(own, first) / size
+            scatter = np.add.reduceat((own - np.repeat(bias, size)) ** 2, first) / size
+            high, low = np.maximum.reduceat(own, first), np.minimum.reduceat(own, first)
+            columns[f"{model}_bias{suffix}"] = bias
+            columns[f"{model}_rms{suffix}"] = np.sqrt(bias**2 + scatter)
+            columns[f"{model}_worst{suffix}"] = np.where(high >= -low, high, low)
+    half_df = size / 2.0
     for end, q in (("low", 0.975), ("high", 0.025)):
         factor = np.sqrt(half_df / gammaincinv(half_df, q))  # df over the quantile of the chi-square
         columns |= {f"{model}_rms_{end}": columns[f"{model}_rms"] * factor for model in ("law", "constant")}
-    return pd.DataFrame(columns).reset_index()
+    return table[by].iloc[order[first]].reset_index(drop=True).assign(**columns)
 
 
 MIN_EARLIER_SESSIONS = 3  # two earlier sessions give limits too wide to be of use

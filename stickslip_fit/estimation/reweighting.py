@@ -128,9 +128,10 @@ def iterate_weights(
 def from_residuals(joint: JointProblem, minimum: Minimum, likelihood: Likelihood) -> dict[str, NoiseLevel]:
     """Repeatability of each direction from the residuals of a fit."""
     repeatability = {}
+    of_row, of_group = joint.rows["direction"].to_numpy(dtype=object), joint.directions
     for direction in ("+", "-"):
-        rows = (joint.rows["direction"] == direction).to_numpy()
-        df = int(rows.sum() - minimum.rank[joint.directions == direction].sum())
+        rows = of_row == direction
+        df = int(rows.sum() - minimum.rank[of_group == direction].sum())
         residual, rounding, ratio = minimum.residual[rows], joint.rounding[rows], joint.noise_ratio[rows]
         repeatability[direction] = pool_residuals(residual, rounding, df, "residuals", likelihood, ratio)
     return repeatability

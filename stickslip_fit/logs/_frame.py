@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import inf, isfinite
 
 import numpy as np
@@ -37,7 +38,7 @@ def check_frame(rows: pd.DataFrame, machine: Machine) -> None:
     own = [name for name in rows if str(name).startswith(COVARIATE_PREFIX)]
     faults = {"time": _wrong_times(rows["time"], form), "session": rows["session"].isna().to_numpy()}
     faults |= {name: ~rows[name].isin(choices).to_numpy() for name, choices in _ROW_TEXTS.items()}
-    faults |= {name: _wrong_numbers(rows, name, form) for name in (*numbers, *own)}
+    faults |= _wrong_numbers(rows, [*numbers, *own], form)
     issues = []
     for name, wrong in faults.items():
         if wrong.any():
@@ -62,15 +63,29 @@ def _wrong_times(time: pd.Series, form: LogFormat) -> BoolArray:
     return np.zeros_like(missing) if may_be_missing else missing
 
 
-def _wrong_numbers(rows: pd.DataFrame, name: str, form: LogFormat) -> BoolArray:
-    if not pd.api.types.is_numeric_dtype(rows[name]) or pd.api.types.is_bool_dtype(rows[name]):
-        return np.ones(len(rows), np.bool_)
-    values = rows[name].to_numpy(dtype=np.float64, na_value=np.nan)
-    needed: BoolArray | bool = name in _ROW_NUMBERS or (name in ORIENTATION and form.by_name[name].required)
-    if name.startswith("q") and name in form.by_name:
-        last = int(form.by_name["joint"].limits[1])
-        needed = rows["joint"].isin({*range(1, last + 1)} - {int(name[1:])}).to_numpy()
-    return np.isinf(values) | (np.isnan(values) & needed) | is_outside(values, _row_limits(name, form))
+def _wrong_numbers(rows: pd.DataFrame, names: Sequence[str], form: LogFormat) -> dict[str, BoolArray]:
+    faults = {name: np.ones(len(rows), np.bool_) for name in names if not _is_number(rows[name].dtype)}
+    numeric = [name for name in names if name not in faults]
+    # All together: column by column took half of `Log.usable`.
+    values = np.stack([rows[name].to_numpy(np.float64, na_value=np.nan) for name in numeric], axis=1)
+    low, high = np.array([_row_limits(name, form) for name in numeric]).T
+    needed = np.array([_is_needed(name, form) for name in numeric])
+    joint, last = rows["joint"].to_numpy(), int(form.by_name["joint"].limits[1])
+    wrong = np.isinf(values) | (np.isnan(values) & needed) | is_outside(values, (low, high))
+    for place, name in enumerate(numeric):
+        if name.startswith("q") and name in form.by_name:
+            others = [one for one in range(1, last + 1) if one != int(name[1:])]
+            wrong[:, place] |= np.isnan(values[:, place]) & np.isin(joint, others)
+        faults[name] = wrong[:, place]
+    return {name: faults[name] for name in names}
+
+
+def _is_number(dtype: object) -> bool:
+    return pd.api.types.is_numeric_dtype(dtype) and not pd.api.types.is_bool_dtype(dtype)
+
+
+def _is_needed(name: str, form: LogFormat) -> bool:
+    return name in _ROW_NUMBERS or (name in ORIENTATION and form.by_name[name].required)
 
 
 def _row_limits(name: str, form: LogFormat) -> tuple[float, float]:

@@ -305,8 +305,10 @@ class Log(Summarized):
         check_frame(self.rows, self.machine)
         rows = self.rows[self.rows["status"] == "ok"].reset_index(drop=True)
         rows.columns = rows.columns.astype(object)
-        texts = rows.dtypes == "str"
-        return rows.astype(dict.fromkeys(rows.columns[texts], object))
+        for name in rows.columns[rows.dtypes == "str"]:
+            # Of all columns at once, `astype` takes five times as long.
+            rows[name] = pd.Series(rows[name].to_numpy(object), dtype=object)
+        return rows
 
     def select(self, mask: npt.ArrayLike) -> Log:
         """Only the rows where `mask` is true, with their history in the whole log."""
@@ -495,7 +497,7 @@ def _note_table(log: Log) -> Table | None:
             str(row["status"]),
             str(row["note"]),
         )
-        for _, row in rows.head(MAX_ROWS).iterrows()
+        for row in rows.head(MAX_ROWS).to_dict("records")
     )
     hidden = len(rows) - len(body)
     note = f"{pluralize(hidden, 'more traverse')} with a note or not fitted: see the log." if hidden else ""

@@ -468,10 +468,10 @@ class LogCells:
         return np.zeros(self.table.count, np.bool_)
 
 
-def is_outside(values: Array, limits: tuple[float, float]) -> BoolArray:
+def is_outside(values: Array, limits: tuple[Array | float, Array | float]) -> BoolArray:
     """Where a number is beyond the limits by more than rounding; NaN is not."""
     low, high = limits
-    return (values < low - 1e-12 * abs(low)) | (values > high + 1e-12 * abs(high))
+    return (values < low - 1e-12 * np.abs(low)) | (values > high + 1e-12 * np.abs(high))
 
 
 def split_by_file(files: list[LogCells], rows: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:

@@ -21,7 +21,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis, XAxis
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, Locator, LogLocator, NullFormatter
 
 from stickslip_fit._format import format_direction, format_plain
 from stickslip_fit._io import write_atomically
@@ -274,10 +274,33 @@ def set_angle_ticks(axes: Axes, low: float, high: float, most: int) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
 
 
+class VisibleTicks(Locator):
+    """Another locator's ticks within the view: each costs as much as a curve, drawn or beyond it."""
+
+    def __init__(self, locator: Locator) -> None:
+        self.locator = locator
+
+    def set_axis(self, axis: Any) -> None:
+        """See `Locator.set_axis`."""
+        super().set_axis(axis)
+        self.locator.set_axis(axis)
+
+    def __call__(self) -> list[float]:
+        """The ticks."""
+        assert self.axis is not None
+        low, high = sorted(self.axis.get_view_interval())
+        return [tick for tick in self.locator() if low <= tick <= high]
+
+    def nonsingular(self, vmin: float, vmax: float) -> tuple[float, float]:
+        """See `Locator.nonsingular`."""
+        return self.locator.nonsingular(vmin, vmax)
+
+
 def set_log_axis(axis: Axis, *, ticks: Sequence[float] = (), subs: Sequence[float] = (1.0,)) -> None:
     """A logarithmic axis with plain numbers at `ticks`, or at `subs` times each power of ten."""
     (axis.axes.set_xscale if isinstance(axis, XAxis) else axis.axes.set_yscale)("log")
-    axis.set_major_locator(FixedLocator(list(ticks)) if ticks else LogLocator(subs=subs))
+    axis.set_major_locator(VisibleTicks(FixedLocator(list(ticks)) if ticks else LogLocator(subs=subs)))
+    axis.set_minor_locator(VisibleTicks(axis.get_minor_locator()))
     axis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     axis.set_minor_formatter(NullFormatter())
 

@@ -230,7 +230,7 @@ def configurations_picture(summary: pd.DataFrame, machine: Machine) -> Picture:
     worst = summary.sort_values("law_rms_relative", ascending=False).head(MAX_CONFIGURATIONS)
     labels = [
         f"{format_configuration(row, machine)} ({format_direction(row['direction'])})"
-        for _, row in worst.iterrows()
+        for row in worst.to_dict("records")
     ]
     first = worst.iloc[0]
     title = f"Error by configuration, worst first, {joint_name(joint, machine)}"

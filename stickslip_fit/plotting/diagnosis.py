@@ -138,12 +138,16 @@ def _rank_causes(misfit: Misfit, named: str, aliased: Sequence[str]) -> list[tup
 
 
 def _draw_probabilities(axis: Axes, ranking: Sequence[tuple[str, float, str]]) -> None:
+    ends = np.maximum([power for _, power, _ in ranking], MIN_LOG10_PROBABILITY)
+    colours = [LABEL_STYLES[label][0] for *_, label in ranking]
+    axis.hlines(range(len(ranking)), MIN_LOG10_PROBABILITY - 0.5, ends, colors=colours, lw=0.8)
+    places: dict[tuple[str, str], list[int]] = {}
     for place, (_, power, label) in enumerate(ranking):
         colour, marker = LABEL_STYLES[label]
-        end = max(power, MIN_LOG10_PROBABILITY)
         marker = "<" if power < MIN_LOG10_PROBABILITY else marker
-        axis.plot([MIN_LOG10_PROBABILITY - 0.5, end], [place, place], color=colour, lw=0.8)
-        axis.plot(end, place, color=colour, marker=marker, ms=4.0, clip_on=False)
+        places.setdefault((colour, marker), []).append(place)
+    for (colour, marker), own in places.items():
+        axis.plot(ends[own], own, ls="", color=colour, marker=marker, ms=4.0, clip_on=False)
     axis.set_yticks(range(len(ranking)), [shorten(cause, MAX_NAME_LENGTH) for cause, *_ in ranking])
     axis.set_ylim(len(ranking) - 0.5, -0.5)
     axis.set_xlim(MIN_LOG10_PROBABILITY - 0.5, 0.3)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -105,12 +105,12 @@ def _draw_strategies(
     minutes = table["seconds"].to_numpy(float) / 60
     extent = np.log(minutes.max() / minutes.min() * TIME_MARGIN**2)
     minutes = _separate_times(minutes, MIN_SEPARATION * n_panels * extent)
-    for x, (_, row) in zip(minutes, table.iterrows(), strict=True):
+    for x, row in zip(minutes, table.to_dict("records"), strict=True):
         _draw_strategy(axis, x, row, *markers[str(row["strategy"])])
     axis.set_xlim(minutes.min() / TIME_MARGIN, minutes.max() * TIME_MARGIN)
 
 
-def _draw_strategy(axis: Axes, minutes: float, row: pd.Series, colour: str, marker: str) -> None:
+def _draw_strategy(axis: Axes, minutes: float, row: Mapping[Hashable, Any], colour: str, marker: str) -> None:
     """A strategy's rms error with its interval."""
     rms, low, high = (100 * float(row[f"rms_relative{end}"]) for end in ("", "_low", "_high"))
     if np.isfinite(low):

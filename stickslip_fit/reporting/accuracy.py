@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable, Mapping
+from typing import Any
 
 import pandas as pd
 
@@ -29,8 +30,8 @@ def direction_table(errors: pd.DataFrame, joint: int, machine: Machine) -> Table
     """One row for each direction, and one for both together."""
     subset, unit = errors[errors["joint"] == joint], step_unit(joint, machine)
     each, both = summarize_errors(subset, ["joint", "direction"]), summarize_errors(subset, ["joint"])
-    body = [(format_direction(row["direction"]), *_error_cells(row, unit)) for _, row in each.iterrows()]
-    body += [("both", *_error_cells(row, unit)) for _, row in both.iterrows()] if len(each) > 1 else []
+    body = [(format_direction(row["direction"]), *_error_cells(row, unit)) for row in each.to_dict("records")]
+    body += [("both", *_error_cells(row, unit)) for row in both.to_dict("records")] if len(each) > 1 else []
     return Table(
         f"Accuracy of {joint_name(joint, machine)} by direction",
         _error_columns(unit, "direction"),
@@ -47,7 +48,7 @@ def session_table(errors: pd.DataFrame, joint: int, machine: Machine) -> Table:
     summary = summary.sort_values("session", key=lambda names: names.map(order.index), kind="stable")
     body = (
         (str(row["session"]), format_direction(row["direction"]), *_error_cells(row, unit))
-        for _, row in summary.iterrows()
+        for row in summary.to_dict("records")
     )
     note = f"The latest {len(shown)} of {len(order)} sessions." if len(shown) < len(order) else ""
     return _make_table(
@@ -74,7 +75,7 @@ def configuration_table(summary: pd.DataFrame, machine: Machine) -> Table:
             format_direction(row["direction"]),
             *_error_cells(row, unit),
         )
-        for _, row in shown.iterrows()
+        for row in shown.to_dict("records")
     )
     note = (
         ""
@@ -116,7 +117,7 @@ def _error_columns(unit: str, *heads: str) -> tuple[Column, ...]:
     )
 
 
-def _error_cells(row: pd.Series, unit: str) -> tuple[str, ...]:
+def _error_cells(row: Mapping[Hashable, Any], unit: str) -> tuple[str, ...]:
 
     def shown(name: str) -> str:
         return format_number(row[name], unit)

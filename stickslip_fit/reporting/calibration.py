@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping
+from typing import Any
+
 import pandas as pd
 
 from stickslip_fit._format import (
@@ -74,15 +77,16 @@ def _joint_table(table: pd.DataFrame, joint: int, fit: Result) -> Table:
     groups = fit.joints[joint].groups
     sessions = list(groups["session"].unique())
     shown = sessions[-MAX_SESSIONS:]
-    indexed = table.set_index(["session", "direction", "name"])
+    keys = ("session", "direction", "name")
+    cells = {tuple(row[key] for key in keys): row for row in table.to_dict("records")}
     heads = (Column(head, text=True) for head in ("session", "direction", "estimator"))
     columns = (*heads, *(Column(each.name, each.unit.replace("1", "")) for each in parameters))
     body = []
     for group in groups[groups["session"].isin(shown)].itertuples():
-        found = [indexed.loc[(group.session, group.direction, each.name)] for each in parameters]
+        found = [cells[group.session, group.direction, each.name] for each in parameters]
         for which, estimator in (("closed", "closed form"), ("fit", "least squares")):
-            cells = (_parameter_cell(row, which) for row in found)
-            body.append((str(group.session), format_direction(group.direction), estimator, *cells))
+            shown_cells = (_parameter_cell(row, which) for row in found)
+            body.append((str(group.session), format_direction(group.direction), estimator, *shown_cells))
     meanings = "; ".join(f"{each.name}: {each.meaning}" for each in parameters)
     note = f"± one standard error. {DISAGREEMENT_MARK} outside the closed form's 95 % interval. {meanings}."
     if len(shown) < len(sessions):
@@ -90,7 +94,7 @@ def _joint_table(table: pd.DataFrame, joint: int, fit: Result) -> Table:
     return Table(f"Parameters of {joint_name(joint, fit.machine)}", columns, tuple(body), stubs=3, note=note)
 
 
-def _parameter_cell(row: pd.Series, which: str) -> str:
+def _parameter_cell(row: Mapping[Hashable, Any], which: str) -> str:
     off = which == "fit" and row["comparable"] and not row["agrees"]
     value = format_uncertain(
         row[f"estimate_{which}"], row[f"standard_error_{which}"], row["unit"], with_unit=False
@@ -152,7 +156,7 @@ def load_coefficient_table(table: pd.DataFrame) -> Table:
             format_number(row["quadratic"], "µrad"),
             *(format_number(row[f"iteration_{k}"], "µrad") for k in range(THESIS_ITERATIONS + 1)),
         )
-        for _, row in shown.iterrows()
+        for row in shown.to_dict("records")
     )
     note = (
         "delta: change of the mean step under the full load (theta = 0, psi = 0) against none (theta = "

@@ -210,7 +210,7 @@ def headline_table(
     kept = check_coverage(log, calibration, errors).groupby([errors[name] for name in by]).mean()
     columns, gains = _headline_columns(extended)
     body = []
-    for _, row in summarize_errors(errors, by).iterrows():
+    for row in summarize_errors(errors, by).to_dict("records"):
         joint, sign = row["joint"], row["direction"]
         noise = choose_repeatability(joint, sign, calibration, fit)
         law = [row["law_rms_relative"], row["law_worst_relative"], kept[joint, sign]]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import pandas as pd
 
@@ -266,7 +267,7 @@ def strategies_table(own: JointStrategies) -> Table:
             format_p_value(pair["p_adjusted"]),
             str(pair["verdict"]).removesuffix(" on this log"),
         )
-        for _, pair in own.others.iterrows()
+        for pair in own.others.to_dict("records")
     }
     columns = (
         Column("strategy", text=True),
@@ -287,7 +288,7 @@ def strategies_table(own: JointStrategies) -> Table:
             format_percent(row["worst_relative"], with_unit=False),
             *differences.get(row["strategy"], ("", "", "least rms")),
         )
-        for _, row in _rows_of_joint(comparison.accuracy_and_cost(), joint).iterrows()
+        for row in _rows_of_joint(comparison.accuracy_and_cost(), joint).to_dict("records")
     )
     return Table(f"Strategies for {joint_name(joint, comparison.machine)}", columns, rows, note=NOTE)
 
@@ -304,7 +305,7 @@ def errors_table(comparison: Comparison, joint: int) -> Table:
             *_with_interval(row, "bias", unit),
             *(format_number(row[name], unit) for name in ("worst", "typical_worst")),
         )
-        for _, row in _rows_of_joint(comparison.accuracy(), joint).iterrows()
+        for row in _rows_of_joint(comparison.accuracy(), joint).to_dict("records")
     )
     caption = f"{capitalize_first(joint_name(joint, comparison.machine))}: errors of the step size"
     return Table(caption, columns, rows, folded=True)
@@ -314,7 +315,7 @@ def _rows_of_joint(table: pd.DataFrame, joint: int) -> pd.DataFrame:
     return table[table["joint"] == joint]
 
 
-def _with_interval(row: pd.Series, name: str, unit: str) -> tuple[str, str]:
+def _with_interval(row: Mapping[Hashable, Any], name: str, unit: str) -> tuple[str, str]:
     return format_number(row[name], unit), format_range(row[f"{name}_low"], row[f"{name}_high"], unit)
 
 
@@ -326,10 +327,11 @@ def _directions_table(comparison: Comparison, joint: int) -> Table | None:
         return None
     signs = [format_direction(direction) for direction in directions]
     headings = [Column(head, "%", f"direction {sign}") for sign in signs for head in ("rms", "95 % interval")]
+    rows = {(row["strategy"], row["direction"]): row for row in table.to_dict("records")}
     body = []
-    for strategy, own in table.groupby("strategy", sort=False):
+    for strategy in dict.fromkeys(table["strategy"]):
         cells = []
-        for _, row in own.set_index("direction").loc[directions].iterrows():
+        for row in (rows[strategy, direction] for direction in directions):
             cells.append(format_percent(row["rms_relative"], with_unit=False))
             cells.append(format_percent_range(row["rms_relative_low"], row["rms_relative_high"]))
         body.append((str(strategy), *cells))
@@ -353,6 +355,7 @@ def worst_table(comparison: Comparison, joint: int, max_rows: int = MAX_WORST) -
         *numbers("rms", "worst", unit="%"),
         Column("times scatter"),
     )
+    worst = table.groupby("strategy").head(max_rows).to_dict("records")
     body = tuple(
         (
             strategy,
@@ -366,7 +369,8 @@ def worst_table(comparison: Comparison, joint: int, max_rows: int = MAX_WORST) -
             f"{row['times_scatter']:.1f}",
         )
         for strategy in comparison.compared(joint)
-        for _, row in table[table["strategy"] == strategy].head(max_rows).iterrows()
+        for row in worst
+        if row["strategy"] == strategy
     )
     caption = f"{capitalize_first(joint_name(joint, comparison.machine))}: where each strategy errs most"
     return Table(caption, columns, body, note=WORST_NOTE, folded=True)

@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
@@ -86,6 +86,11 @@ class LawSolution:
     known: BoolArray
     covariance: Array
 
+    def select(self, some: BoolArray) -> LawSolution:
+        """That of some of the groups."""
+        parts = self.values[some], self.known[some], self.covariance[some]
+        return LawSolution(self.groups.select(some), *parts)
+
 
 def solve_law(law: StepLaw, rows: pd.DataFrame, repeatability: float) -> LawSolution:
     """Fit a law to rows, each session and direction by itself.
@@ -121,6 +126,20 @@ class NotApplicable(Exception):
 
 
 @dataclass(frozen=True, eq=False)
+class SessionSolutions:
+    """A law fitted to each session of a direction, which the tasks of these sessions have in common."""
+
+    law: StepLaw
+    rows: pd.DataFrame
+    repeatability: float
+
+    @cached_property
+    def solution(self) -> LawSolution:
+        """All of them, once one is asked for."""
+        return solve_law(self.law, self.rows, self.repeatability)
+
+
+@dataclass(frozen=True, eq=False)
 class CalibrationTask:
     """One joint and direction of a session that is to be calibrated.
 
@@ -135,6 +154,8 @@ class CalibrationTask:
         All usable traverses, counts included, of the other sessions that the calibration may use.
     repeatability : float
         Standard deviation of log(steps), as the lab knows it.
+    by_session : SessionSolutions, optional
+        Of all sessions of the joint and direction, by the joint's law without causes.
     """
 
     session: str
@@ -144,6 +165,7 @@ class CalibrationTask:
     offered: pd.DataFrame
     others: pd.DataFrame
     repeatability: float
+    by_session: SessionSolutions | None = None
 
     @cached_property
     def nominal(self) -> tuple[Array, Array]:
@@ -179,7 +201,10 @@ class CalibrationTask:
     @cached_property
     def solution_of_others(self) -> LawSolution:
         """The law fitted to the other sessions, each by itself."""
-        return solve_law(self.law, self.others, self.repeatability)
+        if self.by_session is None or self.by_session.law is not self.law:
+            return solve_law(self.law, self.others, self.repeatability)
+        solution = self.by_session.solution
+        return solution.select(solution.groups.table["session"].isin(self.others["session"]).to_numpy())
 
     def with_causes(self, known: FixedCauses) -> CalibrationTask:
         """The same task with causes of known size in the law; the same one each time."""
@@ -240,6 +265,29 @@ def select_first_traverses(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 @dataclass(frozen=True, eq=False)
+class LawEstimate:
+    """Parameters, shape (p,), which of them are known, and their covariance, (p, p), of one fit."""
+
+    values: Array
+    known: BoolArray
+    covariance: Array
+
+
+class Fit(Protocol):
+    """A fit of a law in one session and direction."""
+
+    @property
+    def law(self) -> StepLaw:
+        """The law."""
+        ...
+
+    @classmethod
+    def solve(cls, fits: Sequence[Any]) -> list[LawEstimate]:
+        """Solve some of this kind in one go, each by itself; their laws differ in sizes of causes only."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
 class LawFit:
     """A least-squares fit to the traverses that were measured in one session and direction.
 
@@ -255,14 +303,21 @@ class LawFit:
     measured: pd.DataFrame
     repeatability: float
 
+    @classmethod
+    def solve(cls, fits: Sequence[LawFit]) -> list[LawEstimate]:
+        """See `Fit.solve`."""
+        laws, number = [fit.law for fit in fits], repeat_numbers([fit.measured for fit in fits])
+        rows = pd.concat([fit.measured for fit in fits])
+        # A number for the session makes each fit a group of its own; causes may act in a session by name.
+        problem = single_problem(laws[0], rows.assign(session=number), DEFAULT_OPTIONS)
 
-@dataclass(frozen=True, eq=False)
-class LawEstimate:
-    """Parameters, shape (p,), which of them are known, and their covariance, (p, p), of one fit."""
+        def model(some: IntArray) -> Model:
+            return join_family(laws, number[some]).model(rows.iloc[some])
 
-    values: Array
-    known: BoolArray
-    covariance: Array
+        problem = replace(problem, model=model(np.arange(len(rows))), subset=model)
+        solution = _solve(problem, np.array([fit.repeatability for fit in fits])[number])
+        found = zip(solution.values, solution.known, solution.covariance, strict=True)
+        return [LawEstimate(*each) for each in found]
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +333,7 @@ class CalibrationPlan:
         From an estimate for each fit to the predictor; may raise NotApplicable.
     """
 
-    fits: Sequence[LawFit]
+    fits: Sequence[Fit]
     finish: Callable[[Sequence[LawEstimate]], Predictor]
 
     def calibrate(self) -> Predictor:
@@ -323,49 +378,90 @@ def plan_law(law: StepLaw, task: CalibrationTask, measured: pd.DataFrame) -> Cal
                 if not known
             )
             raise NotApplicable(f"its {len(measured)} traverses leave {undetermined} open")
-        return make_predictor(law, estimate.values, estimate.covariance)
+        return UncertainLaw(law, estimate.values, estimate.covariance)
 
     return CalibrationPlan((LawFit(law, measured, task.repeatability),), finish)
 
 
-def solve_together(fits: Sequence[LawFit]) -> list[LawEstimate]:
-    """Solve each fit by itself, all those of one law, or of one law with the same fixed causes, in one go."""
-    places: dict[tuple[int, ...], list[int]] = {}
-    for place, fit in enumerate(fits):
-        causes = fit.law.extended if isinstance(fit.law, FixedCauseLaw) else None
-        family = (id(fit.law),) if causes is None else (id(causes.law), id(causes.causes))
-        places.setdefault(family, []).append(place)
+def solve_together(fits: Sequence[Fit]) -> list[LawEstimate]:
+    """Solve each fit by itself; those of one kind and law, or law with the same fixed causes, in one go."""
     estimates: dict[int, LawEstimate] = {}
-    for own in places.values():
-        solution = _solve_family([fits[place] for place in own])
-        found = zip(solution.values, solution.known, solution.covariance, strict=True)
-        estimates |= {place: LawEstimate(*each) for place, each in zip(own, found, strict=True)}
+    kinds: dict[type[Fit], None] = dict.fromkeys(map(type, fits))
+    for kind in kinds:
+        places = [place for place, fit in enumerate(fits) if type(fit) is kind]
+        for family in _group_families([fits[place].law for place in places]):
+            own = [places[k] for k in family]
+            estimates |= dict(zip(own, kind.solve([fits[place] for place in own]), strict=True))
     return [estimates[place] for place in range(len(fits))]
 
 
-def _solve_family(fits: Sequence[LawFit]) -> LawSolution:
-    """Fits whose laws differ in the sizes of fixed causes only."""
-    law, number = fits[0].law, np.repeat(np.arange(len(fits)), [len(fit.measured) for fit in fits])
-    rows = pd.concat([fit.measured for fit in fits])
-    # A number in place of the session makes each fit a group of its own; causes may act in a session by name.
-    problem = single_problem(law, rows.assign(session=number), DEFAULT_OPTIONS)
-    sizes = np.array([fit.law.sizes for fit in fits if isinstance(fit.law, FixedCauseLaw)])
-
-    def model(some: IntArray) -> Model:
-        own = law
-        if isinstance(law, FixedCauseLaw):
-            own = FixedCauseLaw(law.law, law.extended.causes, sizes[number[some]])
-        return own.model(rows.iloc[some])
-
-    problem = replace(problem, model=model(np.arange(len(rows))), subset=model)
-    return _solve(problem, np.array([fit.repeatability for fit in fits])[number])
+def _group_families(laws: Sequence[StepLaw]) -> list[list[int]]:
+    """Positions of those that are one law, or one law with the same causes of other sizes."""
+    places: dict[tuple[int, ...], list[int]] = {}
+    for place, law in enumerate(laws):
+        causes = law.extended if isinstance(law, FixedCauseLaw) else None
+        family = (id(law),) if causes is None else (id(causes.law), id(causes.causes))
+        places.setdefault(family, []).append(place)
+    return list(places.values())
 
 
-def make_predictor(law: StepLaw, values: Array, covariance: Array) -> Predictor:
-    """Predict by parameters, shape (p,), that are uncertain by a covariance, shape (p, p)."""
+def join_family(laws: Sequence[StepLaw], number: IntArray) -> StepLaw:
+    """The law of rows that are each of the law with their number, shape (n,); one family."""
+    first = laws[0]
+    if not isinstance(first, FixedCauseLaw):
+        return first
+    sizes = np.array([law.sizes for law in laws if isinstance(law, FixedCauseLaw)])
+    return FixedCauseLaw(first.law, first.extended.causes, sizes[number])
 
-    def predict(rows: pd.DataFrame) -> tuple[Array, Array]:
-        response, jacobian = law.model(rows)(np.broadcast_to(values, (len(rows), len(values))))
-        return response, response_sd(jacobian, covariance)
 
-    return predict
+def repeat_numbers(tables: Sequence[pd.DataFrame]) -> IntArray:
+    """The number of each row's table."""
+    return np.repeat(np.arange(len(tables)), [len(table) for table in tables])
+
+
+@dataclass(frozen=True, eq=False)
+class UncertainLaw:
+    """A `Predictor` by parameters, shape (p,), that are uncertain by a covariance, shape (p, p)."""
+
+    law: StepLaw
+    values: Array
+    covariance: Array
+
+    def __call__(self, rows: pd.DataFrame) -> tuple[Array, Array]:
+        """See `Predictor`."""
+        return predict_together([self], rows)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class CombinedPredictor:
+    """A `Predictor` that makes one prediction of those by several laws."""
+
+    parts: Sequence[UncertainLaw]
+    combine: Callable[[Sequence[tuple[Array, Array]]], tuple[Array, Array]]
+
+    def __call__(self, rows: pd.DataFrame) -> tuple[Array, Array]:
+        """See `Predictor`."""
+        return predict_together([self], rows)[0]
+
+
+def predict_together(
+    predictors: Sequence[UncertainLaw | CombinedPredictor], rows: pd.DataFrame
+) -> list[tuple[Array, Array]]:
+    """What each predicts of the same rows; one law, or one law with the same fixed causes, in one go."""
+    parts = [one.parts if isinstance(one, CombinedPredictor) else [one] for one in predictors]
+    laws = [part for own in parts for part in own]
+    found: dict[int, tuple[Array, Array]] = {}
+    for own in _group_families([part.law for part in laws]):
+        family = [laws[place] for place in own]
+        number, row = np.divmod(np.arange(len(own) * len(rows)), len(rows))
+        law = join_family([part.law for part in family], number)
+        response, jacobian = law.model(rows.iloc[row])(np.array([part.values for part in family])[number])
+        each = zip(np.split(response, len(own)), np.split(jacobian, len(own)), family, strict=True)
+        predicted = [(mean, response_sd(slopes, part.covariance)) for mean, slopes, part in each]
+        found |= dict(zip(own, predicted, strict=True))
+    each_part = iter(found[place] for place in range(len(laws)))
+    by_predictor = [[next(each_part) for _ in own] for own in parts]
+    return [
+        one.combine(own) if isinstance(one, CombinedPredictor) else own[0]
+        for one, own in zip(predictors, by_predictor, strict=True)
+    ]

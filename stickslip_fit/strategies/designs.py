@@ -17,6 +17,7 @@ import pandas as pd
 
 from stickslip_fit._format import join_words
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.bayes.marginal import solve_spd_batched
 from stickslip_fit.estimation._optimize import RANK_TOL
 from stickslip_fit.estimation.identifiability import describe_configuration
 from stickslip_fit.laws import StepLaw, constant_law
@@ -96,7 +97,9 @@ def mean_variance_loss(region: Array) -> Loss:
     moment = region.T @ region / len(region)
 
     def loss(information: Array) -> Array:
-        return np.trace(np.linalg.solve(information, moment[None]), axis1=1, axis2=2)
+        matrix = np.moveaxis(information, 0, -1)
+        right = np.broadcast_to(moment[..., None], matrix.shape)
+        return np.trace(solve_spd_batched(matrix, right)[0])
 
     return loss
 

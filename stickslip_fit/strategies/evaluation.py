@@ -14,6 +14,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._progress import ProgressCallback, ignore_progress
+from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.estimation.closed_form import solve_calibration
@@ -23,11 +24,16 @@ from stickslip_fit.logs import Log
 from stickslip_fit.strategies.base import (
     CalibrationPlan,
     CalibrationTask,
+    CombinedPredictor,
     LawEstimate,
     NotApplicable,
+    Predictor,
     SessionSelector,
+    SessionSolutions,
     Strategy,
+    UncertainLaw,
     plan_calibration,
+    predict_together,
     select_first_traverses,
     solve_together,
     stepping_seconds,
@@ -87,12 +93,13 @@ def make_cases(
         noise = _choose_noise(law, calibration.joints[joint])
         for direction in ("+", "-"):
             own = subset[subset["direction"] == direction]
+            by_session = SessionSolutions(law, own, noise[direction])
             for session in own["session"].unique():
                 measured = own[own["session"] == session]
                 offered = select_first_traverses(measured).drop(columns="steps")
                 others = own[own["session"].isin(session_selector(log.sessions, session))]
                 task = CalibrationTask(
-                    session, direction, law, log.machine, offered, others, noise[direction]
+                    session, direction, law, log.machine, offered, others, noise[direction], by_session
                 )
                 yield EvaluationCase(task, measured)
 
@@ -119,15 +126,15 @@ def evaluate_strategies(
     for done, (case, of_case) in enumerate(zip(cases, planned, strict=True)):
         progress("calibrating by each strategy", PLANNING_SHARE + (1 - PLANNING_SHARE) * done / len(cases))
         predictions = []
-        for strategy, one in zip(strategies, of_case, strict=True):
+        predictors = [_finish(one, estimates) for one in of_case]
+        for strategy, one, found in zip(
+            strategies, of_case, _predict(case, of_case, predictors), strict=True
+        ):
             label = (strategy.name, case.task.session, case.task.law.joint, case.task.direction)
-            try:
-                if isinstance(one, NotApplicable):
-                    raise one
-                predictions.append(_predict(strategy, case, one, estimates))
-            except NotApplicable as error:
-                left_out.append((*label, str(error)))
+            if isinstance(one, NotApplicable) or isinstance(found, NotApplicable):
+                left_out.append((*label, str(found)))
                 continue
+            predictions.append(_Prediction(strategy.name, *found))
             steps, seconds = int(one.traverses["steps"].sum()), float(stepping_seconds(one.traverses).sum())
             costs.append((*label, len(one.traverses), steps, seconds))
         if predictions:
@@ -199,31 +206,61 @@ def _plan(strategy: Strategy, case: EvaluationCase) -> _Measurement | NotApplica
         return NotApplicable(str(error))
 
 
-def _predict(
-    strategy: Strategy, case: EvaluationCase, measurement: _Measurement, estimates: Iterator[LawEstimate]
-) -> _Prediction:
-    """The prediction of the traverses that were not chosen; `estimates` begin with those of its fits."""
-    own = [next(estimates) for _ in measurement.plan.fits]
-    others = np.delete(np.arange(len(case.rows)), measurement.chosen)
+def _finish(
+    measured: _Measurement | NotApplicable, estimates: Iterator[LawEstimate]
+) -> Predictor | NotApplicable:
+    """The predictor of a measurement, or why there is none; `estimates` begin with those of its fits."""
+    if isinstance(measured, NotApplicable):
+        return measured
+    own = [next(estimates) for _ in measured.plan.fits]
     try:
-        mean, sd = measurement.plan.finish(own)(case.rows.iloc[others])
-    except InputError as error:
-        raise NotApplicable(str(error)) from None
-    if not np.all(np.isfinite(mean)):
-        raise NotApplicable("its law would stall in a traverse that is to be predicted")
-    return _Prediction(strategy.name, others, np.asarray(mean), np.asarray(sd))
+        return measured.plan.finish(own)
+    except (NotApplicable, InputError) as error:
+        return NotApplicable(str(error))
+
+
+def _predict(
+    case: EvaluationCase,
+    measured: Sequence[_Measurement | NotApplicable],
+    predictors: Sequence[Predictor | NotApplicable],
+) -> Iterator[tuple[npt.NDArray[np.intp], Array, Array] | NotApplicable]:
+    """What each predicts of the traverses that it did not choose: their positions, responses and sd."""
+    laws = [one for one in predictors if isinstance(one, UncertainLaw | CombinedPredictor)]
+    try:
+        together = dict(zip(map(id, laws), predict_together(laws, case.rows), strict=True))
+    except InputError:  # of one of them, which each by itself will tell
+        together = {}
+    for measurement, predictor in zip(measured, predictors, strict=True):
+        if isinstance(predictor, NotApplicable):
+            yield predictor
+            continue
+        assert isinstance(measurement, _Measurement)
+        others = np.delete(np.arange(len(case.rows)), measurement.chosen)
+        try:
+            if id(predictor) in together:
+                mean, sd = (part[others] for part in together[id(predictor)])
+            else:
+                mean, sd = map(np.asarray, predictor(case.rows.iloc[others]))
+        except (NotApplicable, InputError) as error:
+            yield NotApplicable(str(error))
+            continue
+        if not np.all(np.isfinite(mean)):
+            yield NotApplicable("its law would stall in a traverse that is to be predicted")
+            continue
+        yield others, mean, sd
 
 
 def _tabulate_errors(case: EvaluationCase, predictions: Sequence[_Prediction]) -> pd.DataFrame:
     """The rows of `EvaluationTables.errors` of one case, one strategy after the other."""
     place = np.concatenate([one.rows for one in predictions])
+    names = np.array([one.strategy for one in predictions], dtype=object)
     rows = case.rows.iloc[place]
     return rows[["session", "joint", "direction", *POSITION_COLUMNS]].assign(
         traverse=rows.index,
         measured=traverse_length(rows) / expected_steps(rows["steps"], rows["check_every"]),
         predicted=traverse_length(rows) / np.exp(np.concatenate([one.response for one in predictions])),
         sd=np.concatenate([one.sd for one in predictions]),
-        strategy=np.repeat([one.strategy for one in predictions], [len(one.rows) for one in predictions]),
+        strategy=np.repeat(names, [len(one.rows) for one in predictions]),
     )[[*_ERROR_COLUMNS, "strategy"]]
 
 

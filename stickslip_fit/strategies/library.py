@@ -7,35 +7,38 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.bayes import weak_prior
 from stickslip_fit.bayes.marginal import ConditionalPosterior, linearize_at_mode
-from stickslip_fit.bayes.priors import PRIOR_SPREAD, build_group_data
+from stickslip_fit.bayes.priors import PRIOR_SPREAD, ROWS_PER_CHUNK, build_campaigns, prior_from_steps
 from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import InputError, check_count
 from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation.closed_form import MIN_DF
 from stickslip_fit.estimation.noise import pool_residuals
 from stickslip_fit.estimation.with_causes import DIFFERENCE_STEP, FixedCauseLaw, FixedCauses, fixed_causes
-from stickslip_fit.laws import Laws
+from stickslip_fit.laws import Laws, StepLaw, traverse_length
 from stickslip_fit.logs import Log
 from stickslip_fit.strategies.base import (
     CalibrationPlan,
     CalibrationTask,
+    CombinedPredictor,
     LawEstimate,
     NotApplicable,
     PlannedStrategy,
     Predictor,
     SessionSelector,
     Strategy,
-    make_predictor,
+    UncertainLaw,
+    join_family,
     other_sessions,
     plan_calibration,
     plan_law,
+    repeat_numbers,
     response_sd,
 )
 from stickslip_fit.strategies.designs import (
@@ -70,8 +73,58 @@ class LeastSquares(PlannedStrategy):
         return plan_law(task.law, task, measured)
 
 
+@dataclass(frozen=True, eq=False)
+class CampaignFit:
+    """The parameters of one session and direction by the hierarchical model of all sessions.
+
+    Attributes
+    ----------
+    law : StepLaw
+    others, measured : DataFrame
+        Traverses of the other sessions, and those that were measured in this one.
+    """
+
+    law: StepLaw
+    others: pd.DataFrame
+    measured: pd.DataFrame
+
+    @classmethod
+    def solve(cls, fits: Sequence[CampaignFit]) -> list[LawEstimate]:
+        """See `Fit.solve`; those that would stall at the centre of the prior know nothing."""
+        sizes = np.cumsum([len(fit.others) + len(fit.measured) for fit in fits])
+        ends = np.flatnonzero(np.diff(sizes // ROWS_PER_CHUNK)) + 1
+        parts = [fits[low:high] for low, high in pairwise([0, *ends, len(fits)])]
+        return [estimate for part in parts for estimate in cls._solve_part(part)]
+
+    @classmethod
+    def _solve_part(cls, fits: Sequence[CampaignFit]) -> list[LawEstimate]:
+        campaigns = [pd.concat([fit.others, fit.measured]) for fit in fits]
+        number = repeat_numbers(campaigns)
+        data = build_campaigns(join_family([fit.law for fit in fits], number), campaigns)
+        log_steps = np.log(traverse_length(data.rows)) - data.y
+        prior = prior_from_steps(
+            data.law, np.exp(np.bincount(number, log_steps) / np.bincount(number))[:, None]
+        )
+        try:
+            marginal, mode, _ = linearize_at_mode(data, prior)
+        except InputError:
+            if len(fits) > 1:
+                return [estimate for fit in fits for estimate in cls._solve_part([fit])]
+            p = len(prior.names)
+            return [LawEstimate(np.full(p, np.nan), np.zeros(p, dtype=bool), np.full((p, p), np.nan))]
+        posterior, estimates = marginal.conditional(mode[:, None]), []
+        assert data.campaign is not None
+        for k, fit in enumerate(fits):
+            sessions = list(data.groups.table["session"][data.campaign == k])
+            z, covariance = _session_posterior(posterior, sessions.index(fit.measured["session"].iloc[0]), k)
+            centre, width = prior.centre[k, 0], prior.width[k, 0]
+            known = np.ones(len(z), dtype=bool)
+            estimates.append(LawEstimate(centre + width * z, known, covariance * np.outer(width, width)))
+        return estimates
+
+
 @dataclass(frozen=True)
-class Hierarchical:
+class Hierarchical(PlannedStrategy):
     """Empirical Bayes: a session's parameters with the other sessions' distribution as their prior.
 
     Model and priors are those of `bayes`, with the hyperparameters (spread of the sessions, repeatability)
@@ -95,27 +148,28 @@ class Hierarchical:
         """See `Strategy.choose`."""
         return self.design.pick(task, self.traverses, PRIOR_SPREAD)
 
-    def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
-        """See `Strategy.calibrate`."""
+    def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+        """See `PlannedStrategy.plan`."""
         if task.others.empty:
             raise NotApplicable("there is no other session to look back on")
-        data = build_group_data(task.law, pd.concat([task.others, measured]))
-        prior = weak_prior(task.law, data.rows)
-        marginal, mode, _ = linearize_at_mode(data, prior)
-        session = list(data.groups.table["session"]).index(task.session)
-        z, covariance = _session_posterior(marginal.conditional(mode[None]), session)
-        values = prior.centre + prior.width * z
-        return make_predictor(task.law, values, covariance * np.outer(prior.width, prior.width))
+
+        def finish(estimates: Sequence[LawEstimate]) -> Predictor:
+            (estimate,) = estimates
+            if not estimate.known.all():
+                raise NotApplicable(f"joint {task.law.joint} would stall at the centre of the prior")
+            return UncertainLaw(task.law, estimate.values, estimate.covariance)
+
+        return CalibrationPlan((CampaignFit(task.law, task.others, measured),), finish)
 
 
-def _session_posterior(posterior: ConditionalPosterior, session: int) -> tuple[Array, Array]:
-    """Mean, shape (p,), and covariance, shape (p, p), of a session's z given the hyperparameters."""
-    mean, tau = posterior.sessions(posterior.centre)[:, session, 0], posterior.tau[:, 0]
-    form, eye = posterior.form[:, :, session, 0], np.eye(len(tau))
+def _session_posterior(posterior: ConditionalPosterior, session: int, k: int) -> tuple[Array, Array]:
+    """Mean, shape (p,), and covariance, shape (p, p), of a session's z given the k-th hyperparameters."""
+    mean, tau = posterior.sessions(posterior.centre)[:, session, k], posterior.tau[:, k]
+    form, eye = posterior.form[:, :, session, k], np.eye(len(tau))
     shrinkage = np.linalg.inv(eye + form)
     # Derivative of z by the campaign's mean, whose uncertainty is propagated.
     response = eye - tau[:, None] * (shrinkage @ form) / tau
-    campaign = np.linalg.inv(posterior.precision[:, :, 0])
+    campaign = np.linalg.inv(posterior.precision[:, :, k])
     return mean, tau[:, None] * shrinkage * tau + response @ campaign @ response.T
 
 
@@ -164,20 +218,22 @@ class WithCauses(PlannedStrategy):
         ends = np.cumsum([len(plan.fits) for plan in plans])
         covariance = known.covariance[np.ix_(uncertain, uncertain)]
 
+        def combine(predicted: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+            (mean, sd), *changed = predicted
+            responses = np.array([response for response, _ in changed])
+            upper, lower = responses.reshape(2, len(uncertain), len(mean))
+            jacobian = (upper - lower).T / (2 * steps.sum(axis=1))
+            return mean, np.hypot(sd, response_sd(jacobian, covariance))
+
         def finish(estimates: Sequence[LawEstimate]) -> Predictor:
-            centre, *changed = (
+            parts = [
                 plan.finish(estimates[end - len(plan.fits) : end])
                 for plan, end in zip(plans, ends, strict=True)
-            )
-
-            def predict(rows: pd.DataFrame) -> tuple[Array, Array]:
-                mean, sd = centre(rows)
-                responses = np.array([one(rows)[0] for one in changed])
-                upper, lower = responses.reshape(2, len(uncertain), len(rows))
-                jacobian = (upper - lower).T / (2 * steps.sum(axis=1))
-                return mean, np.hypot(sd, response_sd(jacobian, covariance))
-
-            return predict
+            ]
+            laws = [part for part in parts if isinstance(part, UncertainLaw)]
+            if len(laws) == len(parts):
+                return CombinedPredictor(laws, combine)
+            return lambda rows: combine([part(rows) for part in parts])
 
         return CalibrationPlan([fit for plan in plans for fit in plan.fits], finish)
 

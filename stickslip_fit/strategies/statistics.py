@@ -19,10 +19,10 @@ from scipy.special import digamma, polygamma, stdtr, stdtrit
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.anova.contrasts import adjust_holm
-from stickslip_fit.estimation._optimize import RANK_TOL, mean_step_sizes
+from stickslip_fit.estimation._optimize import RANK_TOL
 from stickslip_fit.estimation.noise import COVERAGE
 from stickslip_fit.laws import traverse_length
-from stickslip_fit.strategies.base import solve_law, stepping_seconds
+from stickslip_fit.strategies.base import LawEstimate, LawFit, solve_together, stepping_seconds
 from stickslip_fit.strategies.designs import PRIOR_INFORMATION, add_rows, improve_design, mean_variance_loss
 from stickslip_fit.strategies.evaluation import POSITION_COLUMNS, EvaluationCase
 
@@ -298,7 +298,12 @@ def compute_bounds(
         traverses (in each direction), seconds (of a session, both directions), and rms, rms_relative, floor,
         floor_relative of a held-out traverse: the bound, and its part that remains when the law is known.
     """
-    tables = [_compute_case_bounds(case, held_out, max_traverses, handling_time) for case in cases]
+    tasks = [case.task for case in cases]
+    fits = [LawFit(one.law, case.rows, one.repeatability) for one, case in zip(tasks, cases, strict=True)]
+    tables = [
+        _compute_case_bounds(case, estimate, held_out, max_traverses, handling_time)
+        for case, estimate in zip(cases, solve_together(fits), strict=True)
+    ]
     if all(table.empty for table in tables):
         return pd.DataFrame()
     table = pd.concat([table for table in tables if len(table)])
@@ -335,18 +340,17 @@ def prediction_variance(jacobian: Array, measured: Array, variance: Array) -> Ar
 
 
 def _compute_case_bounds(
-    case: EvaluationCase, held_out: Array, max_traverses: int, handling_time: float
+    case: EvaluationCase, estimate: LawEstimate, held_out: Array, max_traverses: int, handling_time: float
 ) -> pd.DataFrame:
     task, rows, law = case.task, case.rows, case.task.law
-    solution = solve_law(law, rows, task.repeatability)
     is_test = rows.index.isin(held_out)
-    if not is_test.any() or not solution.known.all():
+    if not is_test.any() or not estimate.known.all():
         return pd.DataFrame()
     candidate = rows.index.get_indexer(task.offered.index)
     y, rounding = law.response(rows)
     variance = task.repeatability**2 + rounding
-    scales = law.scales(mean_step_sizes(solution.groups, rows, y))[0]
-    slopes = law.jacobian(rows, np.broadcast_to(solution.values[0], (len(rows), len(scales)))) * scales
+    scales = law.scales(np.exp(np.mean(np.log(traverse_length(rows)) - y, keepdims=True)))[0]
+    slopes = law.jacobian(rows, np.broadcast_to(estimate.values, (len(rows), len(scales)))) * scales
     noise, step = variance[is_test], traverse_length(rows[is_test]) / np.exp(y[is_test])
     seconds = stepping_seconds(rows.iloc[candidate]) + handling_time
     aim = mean_variance_loss(slopes[is_test]), PRIOR_INFORMATION * np.eye(len(scales))

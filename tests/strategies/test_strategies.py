@@ -9,7 +9,9 @@ import pandas as pd
 import pytest
 
 from stickslip_fit import estimation as fit
-from stickslip_fit.bayes import fit_bayes
+from stickslip_fit.bayes import fit_bayes, weak_prior
+from stickslip_fit.bayes.marginal import linearize_at_mode
+from stickslip_fit.bayes.priors import build_group_data
 from stickslip_fit.causes import library
 from stickslip_fit.causes.temporal import SessionJump
 from stickslip_fit.errors import InputError
@@ -29,8 +31,15 @@ from stickslip_fit.strategies import (
     default_strategies,
     other_sessions,
 )
-from stickslip_fit.strategies.base import LawFit, solve_law, solve_together
+from stickslip_fit.strategies.base import (
+    LawFit,
+    UncertainLaw,
+    predict_together,
+    solve_law,
+    solve_together,
+)
 from stickslip_fit.strategies.evaluation import evaluate_strategies, make_cases
+from stickslip_fit.strategies.library import CampaignFit
 from tests.conftest import CALIBRATION, SWEEPS
 
 
@@ -137,6 +146,41 @@ def test_fits_solved_together_are_those_solved_one_by_one(warm, monkeypatch):
         assert found.values == pytest.approx(alone.values[0], rel=1e-6)
         assert found.covariance == pytest.approx(alone.covariance[0], rel=1e-5)
         assert found.known.tolist() == alone.known[0].tolist()
+
+
+def test_campaigns_solved_together_are_those_solved_one_by_one(warm):
+    """Of two joints and both directions, with different numbers of sessions and traverses."""
+    cases, fits, alone = list(make_cases(warm, other_sessions)), [], []
+    for number, trial in enumerate(cases):
+        law, others = trial.task.law, trial.task.others
+        if number % 2:
+            others = others[others["session"] == others["session"].iloc[0]]
+        fits.append(CampaignFit(law, others, trial.rows.iloc[: 1 + number % 3]))
+        data = build_group_data(law, pd.concat([others, fits[-1].measured]))
+        prior = weak_prior(law, data.rows)
+        marginal, mode, _ = linearize_at_mode(data, prior)
+        posterior = marginal.conditional(mode[None])
+        place = list(data.groups.table["session"]).index(trial.task.session)
+        z = posterior.sessions(posterior.centre)[:, place, 0]
+        alone.append(prior.centre + prior.width * z)
+    for found, wanted in zip(solve_together(fits), alone, strict=True):
+        assert found.values == pytest.approx(wanted, rel=1e-6)
+
+
+def test_predictions_made_together_are_those_of_each_law(warm):
+    cause = next(each for each in library() if each.name == "temperature")
+    causes = (cause.bind(warm.usable, warm.machine),)
+    for trial in make_cases(warm, other_sessions):
+        law, p = trial.task.law, len(trial.task.law.parameters)
+        values, covariance = trial.task.nominal[0], np.diag(1e-16 * np.arange(1.0, p + 1.0))
+        laws = [law, *(FixedCauseLaw(law, causes, np.array([size])) for size in (0.002, -0.001)), law]
+        predictors = [
+            UncertainLaw(one, values * (1 + 0.01 * k), covariance * k) for k, one in enumerate(laws, start=1)
+        ]
+        for one, (mean, sd) in zip(predictors, predict_together(predictors, trial.rows), strict=True):
+            response, slopes = one.law.model(trial.rows)(np.tile(one.values, (len(trial.rows), 1)))
+            assert mean == pytest.approx(response, abs=1e-9)
+            assert sd == pytest.approx([np.sqrt(row @ one.covariance @ row) for row in slopes], rel=1e-6)
 
 
 def test_a_session_has_no_part_in_the_causes_it_is_calibrated_with(warm, trials):
