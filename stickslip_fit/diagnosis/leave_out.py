@@ -23,7 +23,13 @@ from scipy.special import logsumexp
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.combinations import PAIR_LOG_PENALTY
-from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes, make_selected
+from stickslip_fit.diagnosis.extension import (
+    SelectedCause,
+    absorb_unknown,
+    extend_problem,
+    fit_causes,
+    make_selected,
+)
 from stickslip_fit.diagnosis.hypotheses import (
     VARIANCE_TOL,
     Hypothesis,
@@ -40,6 +46,7 @@ from stickslip_fit.diagnosis.misfit import (
     classify_cause,
     weigh_hypotheses,
 )
+from stickslip_fit.diagnosis.proposed_term import propose_term
 from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 
 MIN_KNOWN = 1e-6  # of a row left out: what calibration leaves of it; below, its block has no other row
@@ -387,19 +394,30 @@ class Look:
     def select(self, cause: str, without: Misfit, rows: IntArray) -> SelectedCause:
         """The cause as selected from the test `without` some rows, its test that of the others."""
         best = without.best_hypothesis(cause)
-        assert isinstance(best, Hypothesis)
+        test = self.restrict(without, [without.hypotheses.index(best)], rows)
+        return make_selected(test, form_cause_set(without, cause))
+
+    def restrict(self, without: Misfit, places: Sequence[int], rows: IntArray) -> Misfit:
+        """The test of the rows that are left, of some hypotheses only."""
         kept = np.setdiff1d(np.arange(len(without.residual)), rows)
-        effects = self._leave_out(rows).remove(self._effects(best), self.basis)
-        own = make_hypothesis(best.cause, best.version, best.values, effects[kept])
-        assert own is not None  # without an effect there would be no evidence of it
-        test = replace(
+        left_out, chosen = self._leave_out(rows), [without.hypotheses[place] for place in places]
+        sequences = leave_out_rows((one.sequences for one in chosen if isinstance(one, AR1)), rows)
+        own: list[Hypothesis | AR1 | None] = [
+            replace(one, sequences=sequences[id(one.sequences)])
+            if isinstance(one, AR1)
+            else make_hypothesis(
+                one.cause, one.version, one.values, left_out.remove(self._effects(one), self.basis)[kept]
+            )
+            for one in chosen
+        ]
+        assert None not in own  # without an effect there would be no evidence of it
+        return replace(
             without,
             residual=without.residual[kept],
             basis=None,
-            hypotheses=(own,),
-            log_evidence=without.log_evidence.max(keepdims=True),
+            hypotheses=tuple(one for one in own if one is not None),
+            log_evidence=without.log_evidence[list(places)],
         )
-        return make_selected(test, form_cause_set(without, cause))
 
 
 @dataclass(frozen=True, eq=False)
@@ -447,11 +465,12 @@ class Looks:
         ended = selection.selected[-1].version is not None and selection.last_misfit.p_value < self.level
         self.last = None if ended else look(selection.last_misfit)
         self._refits: dict[tuple[str, str | None], Refit] = {}
+        self._linearized: dict[int, LinearizedFit] = {}
 
     def select_without(self, rows: IntArray) -> list[SelectedCause] | None:
         """The causes in the law as selected without some rows; None if a look is not clear without them.
 
-        Unknown structure is without its law, which has to be searched again.
+        Unknown structure has the law of all rows, see `propose_without`.
         """
         selected: list[SelectedCause] = []
         causes = self.selection.law_causes
@@ -460,9 +479,14 @@ class Looks:
             if self._ahead_of_noise(without) < CLEAR_TEST:
                 return None
             if one.cause == UNKNOWN:
-                if not self._is_unknown(naming, without, one):
+                ahead = one.ahead_of_pairs
+                if revised is not naming:
+                    if not self._is_next(place, without) and not self._is_unknown(naming, without, ahead):
+                        return None
+                    without, ahead = revised.without(rows), np.inf
+                if not self._is_unknown(revised, without, ahead):
                     return None
-                selected.append(replace(one, version=None, start=np.zeros(0)))
+                selected.append(replace(one, misfit=without))
                 continue
             if revised is not naming:
                 if not self._is_known(place, without, rows):
@@ -472,6 +496,36 @@ class Looks:
                 return None
             selected.append(revised.select(one.cause, without, rows))
         return selected if self.last is None or self._is_last(self.last.without(rows)) else None
+
+    def propose_without(
+        self, place: int, selected: SelectedCause, rows: IntArray, rng: np.random.Generator
+    ) -> SelectedCause:
+        """Unknown structure, as selected without some rows, with the law that these would propose."""
+        test, kept = selected.misfit, np.setdiff1d(np.arange(len(self.selection.problem)), rows)
+        assert test is not None
+        likeliest = {int(np.argmax(test.log_evidence))}
+        smooth, memory = [], []
+        for k, one in enumerate(test.hypotheses):
+            if isinstance(one, AR1):
+                memory.append(k)
+            elif one.version is not None and classify_cause(one) == UNKNOWN:
+                smooth.append(k)
+        likeliest |= {max(own, key=lambda k: test.log_evidence[k]) for own in (smooth, memory) if own}
+        restricted = self.revised[place].restrict(test, sorted(likeliest), rows)
+        unknown = replace(selected, version=None, start=np.zeros(0), misfit=restricted)
+        linearized, expressions = self._beside(place).select_rows(kept), self.selection.problem.expressions
+        proposed = propose_term(linearized, [unknown], expressions, rng)[0]
+        return replace(proposed, misfit=test)
+
+    def _beside(self, place: int) -> LinearizedFit:
+        """What the other causes that were in the law leave when one was selected, or selected again."""
+        if place not in self._linearized:
+            causes = self.selection.law_causes
+            last = max((k for k, one in enumerate(causes) if one.cause != UNKNOWN), default=-1)
+            others = [one for k, one in enumerate(causes[: max(place, last) + 1]) if k != place]
+            extension = extend_problem(self.selection.problem, others)
+            self._linearized[place] = absorb_unknown(extension, others)
+        return self._linearized[place]
 
     def _ahead_of_noise(self, without: Misfit) -> float:
         """Nats of a test's statistic beyond its critical value."""
@@ -544,16 +598,23 @@ class Looks:
             self._refits[cause, rival] = Refit.of(problem.linearize_extended(fit_causes(problem, causes)))
         return self._refits[cause, rival]
 
-    def _is_unknown(self, look: Look, without: Misfit, selected: SelectedCause) -> bool:
+    def _is_unknown(self, look: Look, without: Misfit, ahead_of_pairs: float) -> bool:
         """Whether unknown structure is selected, neither a cause nor a combination of some."""
         evidence = dict(without.log_evidence_by_cause)
         own = evidence.pop(UNKNOWN)
         margin = max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
+        share = np.count_nonzero(without.residual) / len(without.residual)
         return bool(
-            own > MIN_EVIDENCE_SHARE * look.misfit.log_evidence_by_cause[UNKNOWN]
+            own > MIN_EVIDENCE_SHARE * share * look.misfit.log_evidence_by_cause[UNKNOWN]
             and own > max(evidence.values(), default=-np.inf) + margin
-            and selected.ahead_of_pairs > margin
+            and ahead_of_pairs > margin
         )
+
+    def _is_next(self, place: int, without: Misfit) -> bool:
+        """Whether the cause that follows unknown structure is selected before it."""
+        evidence = dict(without.log_evidence_by_cause)
+        own = evidence.pop(self.selection.law_causes[place + 1].cause, -np.inf)
+        return bool(own > max(evidence.values(), default=-np.inf) + max(CLEAR_NAME, CLEAR_NAME_SHARE * own))
 
     def _is_last(self, without: Misfit) -> bool:
         """Whether no further known cause would be selected."""
@@ -574,12 +635,10 @@ def prepare_looks(selection: Selection, alpha: float) -> Looks | None:
         for one in selection.selected
     )
     independent = selection.problem.autocorrelation is None
-    # What follows a law for unknown structure depends on the law that each fold finds.
-    followed = any(one.cause == UNKNOWN for one in selection.law_causes[:-1])
     # Of what was found first and is needless at the end, the search may make more without some rows.
     first = next((one.naming or one.misfit for one in selection.law_causes), None)
     dropped = first is not None and first.residual is not selection.first_misfit.residual
-    simple = independent and not (forced or followed or dropped)
+    simple = independent and not (forced or dropped)
     return Looks(selection, alpha) if possible and simple else None
 
 
