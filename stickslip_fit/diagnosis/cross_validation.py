@@ -16,21 +16,13 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.combinations import refine_trial
 from stickslip_fit.diagnosis.extension import (
     SelectedCause,
-    absorb_unknown,
-    compute_evidence,
-    extend_problem,
     fit_causes,
-    law_causes,
-    linearize_with_causes,
-    make_selected,
-    name_explained,
 )
 from stickslip_fit.diagnosis.finding import Finding
-from stickslip_fit.diagnosis.leave_out import Looks
+from stickslip_fit.diagnosis.fold_selection import Looks
 from stickslip_fit.diagnosis.linearized import (
     ExtendedFit,
     LawBlock,
@@ -40,7 +32,6 @@ from stickslip_fit.diagnosis.linearized import (
 )
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.proposed_term import propose_term
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.estimation._optimize import Groups, group_rows, minimize
 from stickslip_fit.estimation.closed_form import pick_calibration
@@ -318,8 +309,9 @@ def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Findi
     for k, (one, before) in enumerate(zip(causes, whole.law_causes, strict=True)):
         if one.cause == UNKNOWN:
             causes[k] = looks.propose_without(k, one, rows, rng)
-            last = k + 1 == len(causes)
-            if causes[k].version is None or not last and causes[k].version.carriers != before.version.carriers:
+            version, last = causes[k].version, k + 1 == len(causes)
+            # The tests of what follows are those without all that its carriers may explain.
+            if version is None or (version.carriers != before.version.carriers and not last):
                 return None
     fit = fit_causes(training, causes)
     selection = replace(whole, problem=training, selected=tuple(causes), fit=fit)

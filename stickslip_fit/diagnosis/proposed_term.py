@@ -70,7 +70,7 @@ def propose_term(
     assert isinstance(shape, Hypothesis)
     term = _find_term(linearized, misfit, expressions(linearized), shape.version.carriers, rng)
     if term is not None and term.expected_gain >= MIN_GAIN_SHARE * _expected_gain(shape, misfit.residual):
-        return [*others, replace(unknown, version=term.version, start=term.start)]
+        return [*others, replace(unknown, version=term.version, start=term.start, tested=linearized)]
     if isinstance(shape.version, PeriodicTerm | PeriodicTableTerm):
         shape = _likeliest(_with_harmonics(shape.version), shape, linearized, misfit.residual)
     elif isinstance(shape.version, SmoothTerm) and len(shape.version.carriers) == 2:
@@ -80,7 +80,8 @@ def propose_term(
     if is_smooth and version.sessions and not version.common:
         # Where a session has no traverse of its own nearby, the others say more than nothing.
         version = replace(version, common=COMMON_IN_LAW)
-    return [*others, replace(unknown, version=version, start=np.array(version.null_values))]
+    start = np.array(version.null_values)
+    return [*others, replace(unknown, version=version, start=start, tested=linearized)]
 
 
 def _with_harmonics(wave: Any) -> Iterable[Any]:
