@@ -65,18 +65,17 @@ class Looks:
 
     def __init__(self, selection: Selection, alpha: float) -> None:
         self.selection, self.level = selection, allocate_alpha(alpha)
-        looks: dict[int, Look] = {}
-
-        def look(misfit: Misfit) -> Look:
-            return looks.setdefault(id(misfit), Look(misfit))
-
+        self._looks: dict[int, Look] = {}
         causes = [(one.misfit, one.naming or one.misfit) for one in selection.law_causes]
-        self.revised = [look(misfit) for misfit, _ in causes if misfit is not None]
-        self.naming = [look(misfit) for _, misfit in causes if misfit is not None]
+        self.revised = [self._look(misfit) for misfit, _ in causes if misfit is not None]
+        self.naming = [self._look(misfit) for _, misfit in causes if misfit is not None]
         # A law for structure without a name may end the search whatever is left.
         ended = selection.selected[-1].version is not None and selection.last_misfit.p_value < self.level
-        self.last = None if ended else look(selection.last_misfit)
+        self.last = None if ended else self._look(selection.last_misfit)
         self._refits: dict[tuple[str, str | None], Refit] = {}
+
+    def _look(self, misfit: Misfit) -> Look:
+        return self._looks.setdefault(id(misfit), Look(misfit))
 
     def select_without(self, rows: IntArray) -> list[SelectedCause] | None:
         """The causes in the law as selected without some rows; None if a look is not clear without them.
@@ -90,11 +89,11 @@ class Looks:
             if self._ahead_of_noise(without) < CLEAR_TEST:
                 return None
             if one.cause == UNKNOWN:
-                if not self._is_unknown(naming, without, one.ahead_of_pairs):
+                if not self._is_unknown(naming, without) or not self._is_ahead_of_pairs(one, without, rows):
                     return None
-                if revised is not naming:  # what follows is no more likely than it
+                if revised is not naming:
                     without = revised.without(rows)
-                    if not self._is_unknown(revised, without, np.inf):
+                    if not self._is_unknown(revised, without):
                         return None
                 selected.append(replace(one, misfit=without))
                 continue
@@ -199,8 +198,8 @@ class Looks:
             self._refits[cause, rival] = Refit.of(problem.linearize_extended(fit_causes(problem, causes)))
         return self._refits[cause, rival]
 
-    def _is_unknown(self, look: Look, without: Misfit, ahead_of_pairs: float) -> bool:
-        """Whether unknown structure is selected, neither a cause nor a combination of some."""
+    def _is_unknown(self, look: Look, without: Misfit) -> bool:
+        """Whether unknown structure is selected, and no cause."""
         evidence = dict(without.log_evidence_by_cause)
         own = evidence.pop(UNKNOWN)
         margin = max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
@@ -208,8 +207,21 @@ class Looks:
         return bool(
             own > MIN_EVIDENCE_SHARE * share * look.misfit.log_evidence_by_cause[UNKNOWN]
             and own > max(evidence.values(), default=-np.inf) + margin
-            and ahead_of_pairs > margin
         )
+
+    def _is_ahead_of_pairs(self, one: SelectedCause, without: Misfit, rows: IntArray) -> bool:
+        """Whether unknown structure is likelier than any combination of causes."""
+        evidence = without.log_evidence_by_cause
+        margin = max(CLEAR_NAME, CLEAR_NAME_SHARE * evidence[UNKNOWN])
+        if one.ahead_of_pairs < margin:
+            return False
+        for cause, test in one.pair_tests.items():
+            beside = dict(self._look(test).without(rows).log_evidence_by_cause)
+            unknown, second = beside.pop(UNKNOWN, -np.inf), max(beside.values(), default=-np.inf)
+            lacking = evidence[UNKNOWN] + PAIR_LOG_PENALTY - evidence[cause] - second
+            if max(lacking, unknown - second) < margin:
+                return False
+        return True
 
     def _is_last(self, without: Misfit) -> bool:
         """Whether no further known cause would be selected."""

@@ -22,6 +22,7 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import CauseSet, form_cause_set
 from stickslip_fit.diagnosis.combinations import (
     PAIR_MIN_LOG_BAYES_FACTOR,
+    PairSearch,
     find_exchange,
     find_needless,
     first_of_pair,
@@ -171,10 +172,9 @@ def select_causes(
         refits = refit_likeliest(problem, selected, last)
         last, failed = refits.misfit, failed | {*refits.failed}
         following = make_selected(last, form_cause_set(last), refits.starts)
-        ahead_of_pairs = np.inf
+        pairs = PairSearch(None)
         if following.cause == UNKNOWN:
             pairs = first_of_pair(problem, selected, last)
-            ahead_of_pairs = pairs.behind
             if pairs.found is not None:
                 following = pairs.found.first
                 combinations.append((following.cause, *pairs.found.others))
@@ -187,7 +187,7 @@ def select_causes(
             following = make_selected(last, form_cause_set(last, broad), refits.starts)
         chosen = [*selected, following]
         if following.cause == UNKNOWN:
-            chosen[-1] = replace(following, ahead_of_pairs=ahead_of_pairs)
+            chosen[-1] = replace(following, ahead_of_pairs=pairs.behind, pair_tests=pairs.tests)
             chosen = propose_term(searched, chosen, problem.expressions, rng)
             if chosen[-1].version is None:
                 selected = chosen
