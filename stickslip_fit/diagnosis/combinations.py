@@ -9,8 +9,8 @@ cause added to these (`find_exchange`). At the end, causes that the others make 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,13 +56,10 @@ class PairSearch:
     found : Combination or None
     behind : float
         Nats that the nearest combination lacks where none was found; infinite where none was possible.
-    tests : dict of str to Misfit
-        The test beside each cause that was tried as the first of a pair.
     """
 
     found: Combination | None
     behind: float = np.inf
-    tests: Mapping[str, Misfit] = field(default_factory=dict)
 
 
 def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit) -> PairSearch:
@@ -75,7 +72,7 @@ def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], 
     best, highest = None, evidence[UNKNOWN] + PAIR_LOG_PENALTY
     pairs: list[tuple[float, list[SelectedCause]]] = []
     causes = sorted(causes, key=lambda cause: -evidence[cause])[:MAX_PAIR_TRIALS]
-    lacking, tests = [np.inf], dict[str, Misfit]()
+    lacking = [np.inf]
     if problem.autocorrelation is None and causes:
         # Linearized: the third of three causes adds no more than the second.
         added = _evidence_added(misfit, causes, problem.linearize().df)
@@ -85,7 +82,6 @@ def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], 
     for cause in causes:
         first = make_selected(misfit, form_cause_set(misfit, cause))
         left, second, unknown = _next_cause(extend_problem(problem, [*selected, first]), [*selected, first])
-        tests[cause] = left
         pair = evidence[cause] + left.log_evidence_by_cause.get(second, -np.inf)
         if second == UNKNOWN:
             continue
@@ -96,16 +92,16 @@ def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], 
         elif left.log_evidence_by_cause[second] > PAIR_MIN_LOG_BAYES_FACTOR:
             pairs.append((pair, [first, make_selected(left, form_cause_set(left, second))]))
     if best is not None or not pairs:
-        return PairSearch(best, min(lacking), tests)
+        return PairSearch(best, min(lacking))
     pair, both = max(pairs, key=lambda scored: scored[0])
     left, third, unknown = _next_cause(extend_problem(problem, [*selected, *both]), [*selected, *both])
     share = left.log_evidence_by_cause.get(third, -np.inf)
     if third == UNKNOWN:
-        return PairSearch(None, min(lacking), tests)
+        return PairSearch(None, min(lacking))
     lacking.append(max(highest + PAIR_LOG_PENALTY - pair - share, unknown - share))
     if lacking[-1] < 0:
         return PairSearch(Combination(both[0], (both[1].cause, third)))
-    return PairSearch(None, min(lacking), tests)
+    return PairSearch(None, min(lacking))
 
 
 def _next_cause(
@@ -240,9 +236,7 @@ def revise_causes(
         if one.cause == UNKNOWN:
             if causes[place].cause != UNKNOWN:
                 continue
-            one = replace(
-                one, ahead_of_pairs=causes[place].ahead_of_pairs, pair_tests=causes[place].pair_tests
-            )
+            one = replace(one, ahead_of_pairs=causes[place].ahead_of_pairs)
             one = propose_term(linearized, [*others, one], problem.expressions, rng)[-1]
             if one.version is None:
                 continue

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -64,8 +64,6 @@ class SelectedCause:
         Causes without which it would not have been found.
     ahead_of_pairs : float
         Nats by which unknown structure is likelier than any combination of causes.
-    pair_tests : dict of str to Misfit
-        Of unknown structure the tests beside causes that were tried as the first of a pair.
     naming : Misfit or None
         Where it was selected again with others in the law, the test that selected a cause in its place first.
     tested : LinearizedFit or None
@@ -80,7 +78,6 @@ class SelectedCause:
     p_value: float
     together_with: tuple[str, ...] = ()
     ahead_of_pairs: float = np.inf
-    pair_tests: Mapping[str, Misfit] = field(default_factory=dict)
     naming: Misfit | None = None
     tested: LinearizedFit | None = None
 

@@ -28,6 +28,7 @@ from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 
 CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
 CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next, before these are refitted
+CLEAR_PAIR_SHARE = 0.1  # the same to a combination of causes, which is refitted
 CLEAR_REFIT = 1.0  # nats between the best cause and the next, both refitted
 MIN_EVIDENCE_SHARE = 0.5  # of the evidence in all rows; with less, a few rows may bear it
 
@@ -65,17 +66,18 @@ class Looks:
 
     def __init__(self, selection: Selection, alpha: float) -> None:
         self.selection, self.level = selection, allocate_alpha(alpha)
-        self._looks: dict[int, Look] = {}
+        looks: dict[int, Look] = {}
+
+        def look(misfit: Misfit) -> Look:
+            return looks.setdefault(id(misfit), Look(misfit))
+
         causes = [(one.misfit, one.naming or one.misfit) for one in selection.law_causes]
-        self.revised = [self._look(misfit) for misfit, _ in causes if misfit is not None]
-        self.naming = [self._look(misfit) for _, misfit in causes if misfit is not None]
+        self.revised = [look(misfit) for misfit, _ in causes if misfit is not None]
+        self.naming = [look(misfit) for _, misfit in causes if misfit is not None]
         # A law for structure without a name may end the search whatever is left.
         ended = selection.selected[-1].version is not None and selection.last_misfit.p_value < self.level
-        self.last = None if ended else self._look(selection.last_misfit)
+        self.last = None if ended else look(selection.last_misfit)
         self._refits: dict[tuple[str, str | None], Refit] = {}
-
-    def _look(self, misfit: Misfit) -> Look:
-        return self._looks.setdefault(id(misfit), Look(misfit))
 
     def select_without(self, rows: IntArray) -> list[SelectedCause] | None:
         """The causes in the law as selected without some rows; None if a look is not clear without them.
@@ -89,7 +91,7 @@ class Looks:
             if self._ahead_of_noise(without) < CLEAR_TEST:
                 return None
             if one.cause == UNKNOWN:
-                if not self._is_unknown(naming, without) or not self._is_ahead_of_pairs(one, without, rows):
+                if not self._is_unknown(naming, without) or not self._is_ahead_of_pairs(place, without):
                     return None
                 if revised is not naming:
                     without = revised.without(rows)
@@ -203,25 +205,20 @@ class Looks:
         evidence = dict(without.log_evidence_by_cause)
         own = evidence.pop(UNKNOWN)
         margin = max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
-        share = np.count_nonzero(without.residual) / len(without.residual)
         return bool(
-            own > MIN_EVIDENCE_SHARE * share * look.misfit.log_evidence_by_cause[UNKNOWN]
+            own > MIN_EVIDENCE_SHARE * look.misfit.log_evidence_by_cause[UNKNOWN]
             and own > max(evidence.values(), default=-np.inf) + margin
         )
 
-    def _is_ahead_of_pairs(self, one: SelectedCause, without: Misfit, rows: IntArray) -> bool:
-        """Whether unknown structure is likelier than any combination of causes."""
-        evidence = without.log_evidence_by_cause
-        margin = max(CLEAR_NAME, CLEAR_NAME_SHARE * evidence[UNKNOWN])
-        if one.ahead_of_pairs < margin:
-            return False
-        for cause, test in one.pair_tests.items():
-            beside = dict(self._look(test).without(rows).log_evidence_by_cause)
-            unknown, second = beside.pop(UNKNOWN, -np.inf), max(beside.values(), default=-np.inf)
-            lacking = evidence[UNKNOWN] + PAIR_LOG_PENALTY - evidence[cause] - second
-            if max(lacking, unknown - second) < margin:
-                return False
-        return True
+    def _is_ahead_of_pairs(self, place: int, without: Misfit) -> bool:
+        """Whether unknown structure is likelier than any combination of causes, which lose as many rows."""
+        whole, ahead = self.naming[place].misfit, self.selection.law_causes[place].ahead_of_pairs
+        own, share = (
+            without.log_evidence_by_cause[UNKNOWN],
+            np.count_nonzero(without.residual) / len(whole.residual),
+        )
+        to_beat = share * (whole.log_evidence_by_cause[UNKNOWN] + PAIR_LOG_PENALTY - ahead)
+        return bool(own + PAIR_LOG_PENALTY - to_beat > max(CLEAR_NAME, CLEAR_PAIR_SHARE * own))
 
     def _is_last(self, without: Misfit) -> bool:
         """Whether no further known cause would be selected."""

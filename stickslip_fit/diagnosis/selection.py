@@ -22,7 +22,6 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import CauseSet, form_cause_set
 from stickslip_fit.diagnosis.combinations import (
     PAIR_MIN_LOG_BAYES_FACTOR,
-    PairSearch,
     find_exchange,
     find_needless,
     first_of_pair,
@@ -172,9 +171,10 @@ def select_causes(
         refits = refit_likeliest(problem, selected, last)
         last, failed = refits.misfit, failed | {*refits.failed}
         following = make_selected(last, form_cause_set(last), refits.starts)
-        pairs = PairSearch(None)
+        ahead_of_pairs = np.inf
         if following.cause == UNKNOWN:
             pairs = first_of_pair(problem, selected, last)
+            ahead_of_pairs = pairs.behind
             if pairs.found is not None:
                 following = pairs.found.first
                 combinations.append((following.cause, *pairs.found.others))
@@ -187,7 +187,7 @@ def select_causes(
             following = make_selected(last, form_cause_set(last, broad), refits.starts)
         chosen = [*selected, following]
         if following.cause == UNKNOWN:
-            chosen[-1] = replace(following, ahead_of_pairs=pairs.behind, pair_tests=pairs.tests)
+            chosen[-1] = replace(following, ahead_of_pairs=ahead_of_pairs)
             chosen = propose_term(searched, chosen, problem.expressions, rng)
             if chosen[-1].version is None:
                 selected = chosen
