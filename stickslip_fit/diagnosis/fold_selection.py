@@ -218,7 +218,8 @@ class Looks:
             np.count_nonzero(without.residual) / len(whole.residual),
         )
         to_beat = share * (whole.log_evidence_by_cause[UNKNOWN] + PAIR_LOG_PENALTY - ahead)
-        return bool(own + PAIR_LOG_PENALTY - to_beat > max(CLEAR_NAME, CLEAR_PAIR_SHARE * own))
+        least = min(ahead, own + PAIR_LOG_PENALTY - to_beat)
+        return bool(least > max(CLEAR_NAME, CLEAR_PAIR_SHARE * own))
 
     def _is_last(self, without: Misfit) -> bool:
         """Whether no further known cause would be selected."""

@@ -147,11 +147,10 @@ def _find_term(
     along = dictionary.along(misfit.residual[:, None])[..., 0]
     squares = along**2 / dictionary.squares
     worth = squares - FACTOR_COST * dictionary.n_factors
-    equal = np.argwhere(worth >= worth.max() - EQUAL * squares.max()).tolist()
     # Of expressions that are the same in all rows, one of what the likeliest smooth function follows.
-    place, best = next(
-        (one for one in equal if set(dictionary.make(*one, 1.0)[0].carriers) == set(carriers)), equal[0]
-    )
+    same = [(int(k), int(m)) for k, m in np.argwhere(worth >= worth.max() - EQUAL * squares.max())]
+    follow = (one for one in same if {*dictionary.make(*one, 1.0)[0].carriers} == {*carriers})
+    place, best = next(follow, same[0])
     left = remove_structure(misfit.residual, misfit.hypotheses, misfit.log_evidence).residual
     noise = linearized.project(rng.choice([-1.0, 1.0], (len(left), N_NULL_LOGS)) * left[:, None])
     null = np.max(dictionary.along(noise) ** 2 / dictionary.squares[..., None], axis=(0, 1))
