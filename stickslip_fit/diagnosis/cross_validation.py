@@ -16,21 +16,13 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.combinations import refine_trial
 from stickslip_fit.diagnosis.extension import (
     SelectedCause,
-    absorb_unknown,
-    compute_evidence,
-    extend_problem,
     fit_causes,
-    law_causes,
-    linearize_with_causes,
-    make_selected,
-    name_explained,
 )
 from stickslip_fit.diagnosis.finding import Finding
-from stickslip_fit.diagnosis.leave_out import Looks
+from stickslip_fit.diagnosis.fold_selection import Looks
 from stickslip_fit.diagnosis.linearized import (
     ExtendedFit,
     LawBlock,
@@ -40,7 +32,6 @@ from stickslip_fit.diagnosis.linearized import (
 )
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.proposed_term import propose_term
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.estimation._optimize import Groups, group_rows, minimize
 from stickslip_fit.estimation.closed_form import pick_calibration
@@ -296,17 +287,17 @@ def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Findi
     whole = looks.selection
     if any(one.cause == UNKNOWN and one.version is None for one in whole.selected):
         return None
-    selected = looks.select_without(np.setdiff1d(np.arange(len(whole.problem)), split.train))
-    if selected is None:
+    rows = np.setdiff1d(np.arange(len(whole.problem)), split.train)
+    causes = looks.select_without(rows)
+    if causes is None:
         return None
     parts = [
         replace(part, values=fitted.values[:, : part.values.shape[1]])
         for part, fitted in zip(whole.problem.parts, whole.fit.parts, strict=True)
     ]
     training = replace(whole.problem, parts=tuple(parts)).select_rows(split.train)
-    # Unknown structure is the last that is selected.
-    causes, moved = [one for one in selected if one.cause != UNKNOWN], []
-    for k, (one, before, place) in enumerate(zip(causes, whole.law_causes, whole.slices, strict=False)):
+    moved = []
+    for k, (one, before, place) in enumerate(zip(causes, whole.law_causes, whole.slices, strict=True)):
         if len(one.version.finer_trials(training.rows, one.start)):
             moved.append(k)  # a moment of change found in the whole log knows the rows held out
         elif one.version is before.version:
@@ -314,26 +305,17 @@ def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Findi
     for k in moved:
         others = fit_causes(training, [*causes[:k], *causes[k + 1 :]])
         causes[k] = refine_trial(causes[k], training.linearize_extended(others))
-    if len(causes) < len(selected):
-        causes = _propose_again(training, causes)
-        training, fit, _ = extend_problem(training, causes)
-    else:
-        fit = fit_causes(training, causes)
+    rng = np.random.default_rng(0)  # of simulated noise
+    for k, (one, before) in enumerate(zip(causes, whole.law_causes, strict=True)):
+        if one.cause == UNKNOWN:
+            causes[k] = looks.propose_without(k, one, rows, rng)
+            version, last = causes[k].version, k + 1 == len(causes)
+            # The tests of what follows are those without all that its carriers may explain.
+            if version is None or (version.carriers != before.version.carriers and not last):
+                return None
+    fit = fit_causes(training, causes)
     selection = replace(whole, problem=training, selected=tuple(causes), fit=fit)
     return _predict_by_steps(whole.problem, split, findings, selection)
-
-
-def _propose_again(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> list[SelectedCause]:
-    """The selected causes, and unknown structure beside them if any is looked for, with a law or without."""
-    fit = fit_causes(problem, selected)
-    extension = problem, fit, linearize_with_causes(problem, fit, law_causes(selected))
-    linearized = absorb_unknown(extension, selected)
-    misfit = compute_evidence(linearized, problem, name_explained(selected), effects=[])
-    if UNKNOWN not in misfit.log_evidence_by_cause:
-        return list(selected)
-    unknown = make_selected(misfit, form_cause_set(misfit, UNKNOWN))
-    rng = np.random.default_rng(0)  # of simulated noise
-    return propose_term(linearized, [*selected, unknown], problem.expressions, rng)
 
 
 def _predict_by_steps(

@@ -66,6 +66,8 @@ class SelectedCause:
         Nats by which unknown structure is likelier than any combination of causes.
     naming : Misfit or None
         Where it was selected again with others in the law, the test that selected a cause in its place first.
+    tested : LinearizedFit or None
+        Of unknown structure with a law the residuals of `misfit`, from which that was proposed.
     """
 
     cause: str
@@ -77,6 +79,7 @@ class SelectedCause:
     together_with: tuple[str, ...] = ()
     ahead_of_pairs: float = np.inf
     naming: Misfit | None = None
+    tested: LinearizedFit | None = None
 
 
 def law_causes(selected: Sequence[SelectedCause]) -> list[SelectedCause]:

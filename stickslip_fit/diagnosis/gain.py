@@ -27,6 +27,7 @@ from stickslip_fit.diagnosis.cross_validation import (
 )
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding, Gain
+from stickslip_fit.diagnosis.fold_selection import prepare_looks
 from stickslip_fit.diagnosis.gain_interval import (
     CompetingCauses,
     LinearizedCampaign,
@@ -36,7 +37,6 @@ from stickslip_fit.diagnosis.gain_interval import (
     simulate_gain_intervals,
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes
-from stickslip_fit.diagnosis.leave_out import prepare_looks
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, detection_length, log_likelihood_ratio
 from stickslip_fit.diagnosis.problem import DiagnosisProblem

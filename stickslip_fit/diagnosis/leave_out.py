@@ -1,11 +1,9 @@
-"""The tests of a selection repeated without some rows, by linear algebra.
+"""A test of a selection repeated without some rows, by linear algebra.
 
 To leave out rows is to project their indicators out of whitened, projected columns (R. D. Cook and S.
 Weisberg, Residuals and Influence in Regression, 1982, section 2.2). So the evidence of every hypothesis
 follows from its directions in the rows left out; no law, cause or alternative is evaluated again. The laws
-are linearized about their fit to all rows, whose noise is kept: both are errors of second order. Close
-rivals are judged by the squared residuals of a refit of each, whose linearized law loses the rows in the same
-way. Where the answer of a test is not clear, the selection has to be repeated.
+are linearized about their fit to all rows, whose noise is kept: both are errors of second order.
 """
 
 from __future__ import annotations
@@ -13,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.sparse import csc_array, csr_array
@@ -22,34 +19,30 @@ from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
-from stickslip_fit.diagnosis.combinations import PAIR_LOG_PENALTY
-from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes, make_selected
+from stickslip_fit.diagnosis.extension import (
+    SelectedCause,
+    make_selected,
+)
 from stickslip_fit.diagnosis.hypotheses import (
     VARIANCE_TOL,
     Hypothesis,
     make_hypothesis,
 )
-from stickslip_fit.diagnosis.linearized import LinearizedFit, split_positions
+from stickslip_fit.diagnosis.linearized import split_positions
 from stickslip_fit.diagnosis.memory import AR1, leave_out_rows, log_memory_evidence
 from stickslip_fit.diagnosis.misfit import (
     MAX_EXPLAINED,
     STRENGTHS,
-    UNKNOWN,
     Misfit,
     average_by_cause,
     classify_cause,
     weigh_hypotheses,
 )
-from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 
 MIN_KNOWN = 1e-6  # of a row left out: what calibration leaves of it; below, its block has no other row
 SHARED_FILL = 0.25  # of the rows, above which a direction of the calibration counts as shared by all
 MIN_OVERLAP = 1e-9  # product of a direction and a column of the calibration that counts
 MIN_LEFT = 1e-6  # of the square of a direction, in the rows left
-CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
-CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next, before these are refitted
-CLEAR_REFIT = 1.0  # nats between the best cause and the next, both refitted
-MIN_EVIDENCE_SHARE = 0.5  # of the evidence in all rows; with less, a few rows may bear it
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,205 +380,27 @@ class Look:
     def select(self, cause: str, without: Misfit, rows: IntArray) -> SelectedCause:
         """The cause as selected from the test `without` some rows, its test that of the others."""
         best = without.best_hypothesis(cause)
-        assert isinstance(best, Hypothesis)
+        test = self.restrict(without, [without.hypotheses.index(best)], rows)
+        return make_selected(test, form_cause_set(without, cause))
+
+    def restrict(self, without: Misfit, places: Sequence[int], rows: IntArray) -> Misfit:
+        """The test of the rows that are left, of some hypotheses only."""
         kept = np.setdiff1d(np.arange(len(without.residual)), rows)
-        effects = self._leave_out(rows).remove(self._effects(best), self.basis)
-        own = make_hypothesis(best.cause, best.version, best.values, effects[kept])
-        assert own is not None  # without an effect there would be no evidence of it
-        test = replace(
+        left_out, chosen = self._leave_out(rows), [without.hypotheses[place] for place in places]
+        sequences = leave_out_rows((one.sequences for one in chosen if isinstance(one, AR1)), rows)
+        own: list[Hypothesis | AR1 | None] = [
+            replace(one, sequences=sequences[id(one.sequences)])
+            if isinstance(one, AR1)
+            else make_hypothesis(
+                one.cause, one.version, one.values, left_out.remove(self._effects(one), self.basis)[kept]
+            )
+            for one in chosen
+        ]
+        assert None not in own  # without an effect there would be no evidence of it
+        return replace(
             without,
             residual=without.residual[kept],
             basis=None,
-            hypotheses=(own,),
-            log_evidence=without.log_evidence.max(keepdims=True),
+            hypotheses=tuple(one for one in own if one is not None),
+            log_evidence=without.log_evidence[list(places)],
         )
-        return make_selected(test, form_cause_set(without, cause))
-
-
-@dataclass(frozen=True, eq=False)
-class Refit:
-    """A law fitted to all rows, linearized there.
-
-    Attributes
-    ----------
-    residual : array, shape (n,)
-    basis : sparse array, shape (n, number of parameters)
-    """
-
-    residual: Array
-    basis: csr_array
-
-    @classmethod
-    def of(cls, linearized: LinearizedFit) -> Refit:
-        """The fit that a linearization is about."""
-        return cls(linearized.residual, linearized.basis)
-
-    def log_likelihood(self, rows: IntArray | None = None) -> float:
-        """Of a fit without some rows, the size of the noise unknown, but for a constant."""
-        squares, df = float(self.residual @ self.residual), len(self.residual) - self.basis.shape[1]
-        if rows is not None:
-            left_out = LeftOut.of(self.basis, rows)
-            squares -= float(np.sum(left_out.coordinates(self.residual[rows, None]) ** 2))
-            df -= left_out.own.shape[1]
-        return -0.5 * df * float(np.log(squares))
-
-
-class Looks:
-    """The tests that named the causes in a selection's law, and the last one, which named no other."""
-
-    def __init__(self, selection: Selection, alpha: float) -> None:
-        self.selection, self.level = selection, allocate_alpha(alpha)
-        looks: dict[int, Look] = {}
-
-        def look(misfit: Misfit) -> Look:
-            return looks.setdefault(id(misfit), Look(misfit))
-
-        causes = [(one.misfit, one.naming or one.misfit) for one in selection.law_causes]
-        self.revised = [look(misfit) for misfit, _ in causes if misfit is not None]
-        self.naming = [look(misfit) for _, misfit in causes if misfit is not None]
-        # A law for structure without a name may end the search whatever is left.
-        ended = selection.selected[-1].version is not None and selection.last_misfit.p_value < self.level
-        self.last = None if ended else look(selection.last_misfit)
-        self._refits: dict[tuple[str, str | None], Refit] = {}
-
-    def select_without(self, rows: IntArray) -> list[SelectedCause] | None:
-        """The causes in the law as selected without some rows; None if a look is not clear without them.
-
-        Unknown structure is without its law, which has to be searched again.
-        """
-        selected: list[SelectedCause] = []
-        causes = self.selection.law_causes
-        for place, (naming, revised, one) in enumerate(zip(self.naming, self.revised, causes, strict=True)):
-            without = naming.without(rows)
-            if self._ahead_of_noise(without) < CLEAR_TEST:
-                return None
-            if one.cause == UNKNOWN:
-                if not self._is_unknown(naming, without, one):
-                    return None
-                selected.append(replace(one, version=None, start=np.zeros(0)))
-                continue
-            if revised is not naming:
-                if not self._is_known(place, without, rows):
-                    return None
-                without = revised.without(rows)
-            if not self._is_clear(revised, without, one.cause, rows, was_revised=revised is not naming):
-                return None
-            selected.append(revised.select(one.cause, without, rows))
-        return selected if self.last is None or self._is_last(self.last.without(rows)) else None
-
-    def _ahead_of_noise(self, without: Misfit) -> float:
-        """Nats of a test's statistic beyond its critical value."""
-        statistic = float(logsumexp(list(without.log_evidence_by_cause.values())))
-        return statistic - without.critical_value(self.level)
-
-    def _is_known(self, place: int, without: Misfit, rows: IntArray) -> bool:
-        """Whether a cause in the law, or a pair of these, is selected first, and not unknown structure."""
-        causes, evidence = self.selection.law_causes, without.log_evidence_by_cause
-        to_beat = evidence.get(UNKNOWN, -np.inf) + CLEAR_NAME
-        if max(evidence.get(one.cause, -np.inf) for one in causes if one.cause != UNKNOWN) > to_beat:
-            return True
-        if place + 1 == len(causes):
-            return False
-        second = self.naming[place + 1].without(rows).log_evidence_by_cause
-        pair = evidence.get(causes[place].cause, -np.inf) + second.get(causes[place + 1].cause, -np.inf)
-        return pair > to_beat + PAIR_LOG_PENALTY
-
-    def _is_clear(
-        self, look: Look, without: Misfit, cause: str, rows: IntArray, *, was_revised: bool
-    ) -> bool:
-        whole, evidence = look.misfit, dict(without.log_evidence_by_cause)
-        if was_revised:  # by a known cause or not at all
-            evidence.pop(UNKNOWN, None)
-        own = evidence[cause]
-        least = own - max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
-        close = [one for one in evidence if one != cause and evidence[one] >= least]
-        version, before = (_best_version(test, cause) for test in (without, whole))
-        # Effects that are linear in all parameters need no refit to be compared, unless another form may take
-        # over a part of another cause.
-        linear = all(getattr(one, "combine_trials", False) for one in (version, before))
-        linear = linear and not (was_revised and len(version.parameters) != len(before.parameters))
-        return bool(
-            (version is before or linear)
-            and own > MIN_EVIDENCE_SHARE * whole.log_evidence_by_cause[cause]
-            and (not close or self._is_ahead(look, without, cause, close, rows))
-        )
-
-    def _is_ahead(
-        self, look: Look, without: Misfit, cause: str, close: Sequence[str], rows: IntArray
-    ) -> bool:
-        """Whether a cause is likelier than all close rivals, each refitted without the rows."""
-        if UNKNOWN in close:  # it has no law to refit
-            return False
-        try:
-            own, *others = (self._evidence(look, without, cause, one, rows) for one in (cause, *close))
-        except np.linalg.LinAlgError:
-            return False
-        return own > max(others) + CLEAR_REFIT
-
-    def _evidence(self, look: Look, without: Misfit, cause: str, rival: str, rows: IntArray) -> float:
-        """Log evidence of a rival in the place of a selected cause, refitted without the rows.
-
-        Where a refit to all rows gained nothing, that of its linearized effects without the rows.
-        """
-        if abs(look.refit_gain.get(rival, 0.0)) < CLEAR_REFIT:
-            return without.log_evidence_by_cause[rival]
-        before, after = self._refit(look, cause, None), self._refit(look, cause, rival)
-        change = after.log_likelihood(rows) - after.log_likelihood()
-        change -= before.log_likelihood(rows) - before.log_likelihood()
-        return look.misfit.log_evidence_by_cause[rival] + change
-
-    def _refit(self, look: Look, cause: str, rival: str | None) -> Refit:
-        """The law of all rows with a rival in the place of a selected cause, or with neither."""
-        if (cause, rival) not in self._refits:
-            causes = [one for one in self.selection.law_causes if one.cause != cause]
-            if rival is not None:
-                causes.append(make_selected(look.misfit, form_cause_set(look.misfit, rival)))
-            problem = self.selection.problem
-            self._refits[cause, rival] = Refit.of(problem.linearize_extended(fit_causes(problem, causes)))
-        return self._refits[cause, rival]
-
-    def _is_unknown(self, look: Look, without: Misfit, selected: SelectedCause) -> bool:
-        """Whether unknown structure is selected, neither a cause nor a combination of some."""
-        evidence = dict(without.log_evidence_by_cause)
-        own = evidence.pop(UNKNOWN)
-        margin = max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
-        return bool(
-            own > MIN_EVIDENCE_SHARE * look.misfit.log_evidence_by_cause[UNKNOWN]
-            and own > max(evidence.values(), default=-np.inf) + margin
-            and selected.ahead_of_pairs > margin
-        )
-
-    def _is_last(self, without: Misfit) -> bool:
-        """Whether no further known cause would be selected."""
-        if self._ahead_of_noise(without) < -CLEAR_TEST:
-            return True
-        evidence = dict(without.log_evidence_by_cause)
-        unknown = evidence.pop(UNKNOWN, -np.inf)
-        return bool(unknown > max(evidence.values(), default=-np.inf) + CLEAR_NAME)
-
-
-def prepare_looks(selection: Selection, alpha: float) -> Looks | None:
-    """The looks of a selection, if they can be repeated without some rows by linear algebra."""
-    tests = [*(one.misfit for one in selection.selected), selection.last_misfit]
-    known = [one for one in tests if one is not None]
-    possible = all(one.basis is not None and len(one.residual) == len(selection.problem) for one in known)
-    forced = any(
-        one.version is None and one.misfit is not None and _best_cause(one.misfit) != UNKNOWN
-        for one in selection.selected
-    )
-    independent = selection.problem.autocorrelation is None
-    # What follows a law for unknown structure depends on the law that each fold finds.
-    followed = any(one.cause == UNKNOWN for one in selection.law_causes[:-1])
-    # Of what was found first and is needless at the end, the search may make more without some rows.
-    first = next((one.naming or one.misfit for one in selection.law_causes), None)
-    dropped = first is not None and first.residual is not selection.first_misfit.residual
-    simple = independent and not (forced or followed or dropped)
-    return Looks(selection, alpha) if possible and simple else None
-
-
-def _best_version(misfit: Misfit, cause: str) -> Any:
-    return misfit.best_hypothesis(cause).version
-
-
-def _best_cause(misfit: Misfit) -> str:
-    return max(misfit.log_evidence_by_cause, key=lambda cause: misfit.log_evidence_by_cause[cause])

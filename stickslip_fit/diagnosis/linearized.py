@@ -158,6 +158,39 @@ class LinearizedFit:
     def _basis_transposed(self) -> csr_array:
         return csr_array(self.basis.T)
 
+    def select_rows(self, kept: IntArray) -> LinearizedFit:
+        """The laws fitted anew to some rows of independent noise, in ascending order, linearized here."""
+        assert self.noise_filter is None
+        place = np.full(len(self), -1)
+        place[kept] = np.arange(len(kept))
+        blocks = [
+            (place[rows][place[rows] >= 0], _orthonormalize(columns[place[rows] >= 0]))
+            for rows, columns in self.blocks
+        ]
+        blocks = [(rows, columns) for rows, columns in blocks if len(rows)]
+        basis, shared = _stack_blocks(len(kept), blocks), self.shared_basis[kept]
+        border = _orthonormalize(shared - basis @ (basis.T @ shared))
+        smaller = replace(
+            self,
+            rows=self.rows.iloc[kept].reset_index(drop=True),
+            parts=select_parts(self.parts, place),
+            scale=self.scale[kept],
+            residual=self.residual[kept],
+            basis=csr_array(hstack([basis, csr_array(border)])),
+            blocks=tuple(blocks),
+        )
+        return replace(smaller, residual=smaller.project(smaller.residual))
+
+
+def select_parts(parts: Sequence[LawBlock], place: IntArray) -> tuple[LawBlock, ...]:
+    """The laws of some rows, at their new places; `place`, shape (n,), is -1 for the others."""
+    selected = []
+    for part in parts:
+        inside = place[part.rows] >= 0
+        rows = place[part.rows][inside]
+        selected.append(replace(part, rows=rows, block=part.block[inside], values=part.values[inside]))
+    return tuple(selected)
+
 
 class RowSubset(Mapping[str, npt.NDArray[Any]]):
     """Some rows of a table, as arrays: of the columns that are asked for, since a law needs few of many."""

@@ -27,6 +27,7 @@ from stickslip_fit.diagnosis.linearized import (
     RowChanges,
     fit_extended,
     linearize_fit,
+    select_parts,
     whiten,
 )
 from stickslip_fit.diagnosis.memory import AR1
@@ -267,11 +268,6 @@ class DiagnosisProblem:
         """The problem of some rows in ascending order, the baseline as it is."""
         place = np.full(len(self), -1)
         place[kept] = np.arange(len(kept))
-        parts = []
-        for part in self.parts:
-            inside = place[part.rows] >= 0
-            rows = place[part.rows][inside]
-            parts.append(replace(part, rows=rows, block=part.block[inside], values=part.values[inside]))
         return replace(
             self,
             autocorrelation=None if self.autocorrelation is None else self.autocorrelation.select(kept),
@@ -281,7 +277,7 @@ class DiagnosisProblem:
                 (place[rows][place[rows] >= 0], changes[place[rows] >= 0]) for rows, changes in self.uncertain
             ),
             rows=self.rows.iloc[kept].reset_index(drop=True),
-            parts=tuple(parts),
+            parts=select_parts(self.parts, place),
             **{
                 name: getattr(self, name)[kept]
                 for name in ("responses", "rounding", "noise_group", "configuration", "noise_ratio")

@@ -40,6 +40,7 @@ SURFACE_LENGTHS = (1.0, 0.6, 0.4)  # of functions of two carriers, of their rang
 N_PERIODS = 21  # between the two neighbours of a period that was tried
 MIN_GAIN_SHARE = 0.95  # of the smooth function's gain, with which a short expression is preferred
 N_NULL_LOGS, NULL_LEVEL = 200, 0.01
+EQUAL = 1e-6  # share of the squares, by which rounding may differ
 
 
 def propose_term(
@@ -66,10 +67,10 @@ def propose_term(
     ]
     if evidence < max([MIN_STAND_IN_LOG_BAYES_FACTOR, *(own - MEMORY_MARGIN for own in memory)]):
         return list(selected)
-    term = _find_term(linearized, misfit, expressions(linearized), rng)
     assert isinstance(shape, Hypothesis)
+    term = _find_term(linearized, misfit, expressions(linearized), shape.version.carriers, rng)
     if term is not None and term.expected_gain >= MIN_GAIN_SHARE * _expected_gain(shape, misfit.residual):
-        return [*others, replace(unknown, version=term.version, start=term.start)]
+        return [*others, replace(unknown, version=term.version, start=term.start, tested=linearized)]
     if isinstance(shape.version, PeriodicTerm | PeriodicTableTerm):
         shape = _likeliest(_with_harmonics(shape.version), shape, linearized, misfit.residual)
     elif isinstance(shape.version, SmoothTerm) and len(shape.version.carriers) == 2:
@@ -79,7 +80,8 @@ def propose_term(
     if is_smooth and version.sessions and not version.common:
         # Where a session has no traverse of its own nearby, the others say more than nothing.
         version = replace(version, common=COMMON_IN_LAW)
-    return [*others, replace(unknown, version=version, start=np.array(version.null_values))]
+    start = np.array(version.null_values)
+    return [*others, replace(unknown, version=version, start=start, tested=linearized)]
 
 
 def _with_harmonics(wave: Any) -> Iterable[Any]:
@@ -133,21 +135,27 @@ def _expected_gain(shape: Hypothesis, residual: Array) -> float:
 
 
 def _find_term(
-    linearized: LinearizedFit, misfit: Misfit, dictionary: Dictionary | None, rng: np.random.Generator
+    linearized: LinearizedFit,
+    misfit: Misfit,
+    dictionary: Dictionary | None,
+    carriers: Sequence[str],
+    rng: np.random.Generator,
 ) -> _Term | None:
-    """The likeliest short expression; None where noise alone has one as likely."""
+    """The likeliest short expression, best of some carriers; None where noise alone has one as likely."""
     if dictionary is None:
         return None
     along = dictionary.along(misfit.residual[:, None])[..., 0]
     squares = along**2 / dictionary.squares
-    place, best = np.unravel_index(
-        int(np.argmax(squares - FACTOR_COST * dictionary.n_factors)), squares.shape
-    )
+    worth = squares - FACTOR_COST * dictionary.n_factors
+    # Of expressions that are the same in all rows, one of what the likeliest smooth function follows.
+    same = [(int(k), int(m)) for k, m in np.argwhere(worth >= worth.max() - EQUAL * squares.max())]
+    follow = (one for one in same if {*dictionary.make(*one, 1.0)[0].carriers} == {*carriers})
+    place, best = next(follow, same[0])
     left = remove_structure(misfit.residual, misfit.hypotheses, misfit.log_evidence).residual
     noise = linearized.project(rng.choice([-1.0, 1.0], (len(left), N_NULL_LOGS)) * left[:, None])
     null = np.max(dictionary.along(noise) ** 2 / dictionary.squares[..., None], axis=(0, 1))
     if squares[place, best] <= np.quantile(null, 1.0 - NULL_LEVEL):
         return None
     coefficient = float(along[place, best] / dictionary.squares[place, best])
-    version, start = dictionary.make(int(place), int(best), coefficient)
+    version, start = dictionary.make(place, best, coefficient)
     return _Term(version, start, float(squares[place, best]) - 2.0)

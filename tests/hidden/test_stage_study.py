@@ -10,7 +10,7 @@ import pytest
 from tests.hidden.stage_optimum import compute_optimum
 from tests.hidden.stage_study import WITHOUT_TRACE, StageCase, StageScore, diagnose_stage, stage_cases
 
-LOGS = 200
+LOGS = 1000
 
 
 def at_least(share: float, results: list[bool]) -> None:

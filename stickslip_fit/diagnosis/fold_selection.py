@@ -1,0 +1,255 @@
+"""What a selection would be without some rows: its tests repeated by linear algebra (`leave_out`).
+
+Close rivals are judged by the squared residuals of a refit of each, whose linearized law loses the rows as a
+test does. A law for unknown structure is proposed anew. Where the answer of a test is not clear, the
+selection has to be repeated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.special import logsumexp
+
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.combinations import PAIR_LOG_PENALTY
+from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes, make_selected
+from stickslip_fit.diagnosis.leave_out import LeftOut, Look
+from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.memory import AR1
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause
+from stickslip_fit.diagnosis.proposed_term import propose_term
+from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
+
+CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
+CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next, before these are refitted
+CLEAR_PAIR_SHARE = 0.1  # the same to a combination of causes, which is refitted
+CLEAR_REFIT = 1.0  # nats between the best cause and the next, both refitted
+MIN_EVIDENCE_SHARE = 0.5  # of the evidence in all rows; with less, a few rows may bear it
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A law fitted to all rows, linearized there.
+
+    Attributes
+    ----------
+    residual : array, shape (n,)
+    basis : sparse array, shape (n, number of parameters)
+    """
+
+    residual: Array
+    basis: csr_array
+
+    @classmethod
+    def of(cls, linearized: LinearizedFit) -> Refit:
+        """The fit that a linearization is about."""
+        return cls(linearized.residual, linearized.basis)
+
+    def log_likelihood(self, rows: IntArray | None = None) -> float:
+        """Of a fit without some rows, the size of the noise unknown, but for a constant."""
+        squares, df = float(self.residual @ self.residual), len(self.residual) - self.basis.shape[1]
+        if rows is not None:
+            left_out = LeftOut.of(self.basis, rows)
+            squares -= float(np.sum(left_out.coordinates(self.residual[rows, None]) ** 2))
+            df -= left_out.own.shape[1]
+        return -0.5 * df * float(np.log(squares))
+
+
+class Looks:
+    """The tests that named the causes in a selection's law, and the last one, which named no other."""
+
+    def __init__(self, selection: Selection, alpha: float) -> None:
+        self.selection, self.level = selection, allocate_alpha(alpha)
+        looks: dict[int, Look] = {}
+
+        def look(misfit: Misfit) -> Look:
+            return looks.setdefault(id(misfit), Look(misfit))
+
+        causes = [(one.misfit, one.naming or one.misfit) for one in selection.law_causes]
+        self.revised = [look(misfit) for misfit, _ in causes if misfit is not None]
+        self.naming = [look(misfit) for _, misfit in causes if misfit is not None]
+        # A law for structure without a name may end the search whatever is left.
+        ended = selection.selected[-1].version is not None and selection.last_misfit.p_value < self.level
+        self.last = None if ended else look(selection.last_misfit)
+        self._refits: dict[tuple[str, str | None], Refit] = {}
+
+    def select_without(self, rows: IntArray) -> list[SelectedCause] | None:
+        """The causes in the law as selected without some rows; None if a look is not clear without them.
+
+        Unknown structure has the law of all rows, see `propose_without`.
+        """
+        selected: list[SelectedCause] = []
+        causes = self.selection.law_causes
+        for place, (naming, revised, one) in enumerate(zip(self.naming, self.revised, causes, strict=True)):
+            without = naming.without(rows)
+            if self._ahead_of_noise(without) < CLEAR_TEST:
+                return None
+            if one.cause == UNKNOWN:
+                if not self._is_unknown(naming, without) or not self._is_ahead_of_pairs(place, without):
+                    return None
+                if revised is not naming:
+                    without = revised.without(rows)
+                    if not self._is_unknown(revised, without):
+                        return None
+                selected.append(replace(one, misfit=without))
+                continue
+            if revised is not naming:
+                if not self._is_known(place, without, rows):
+                    return None
+                without = revised.without(rows)
+            if not self._is_clear(revised, without, one.cause, rows, was_revised=revised is not naming):
+                return None
+            selected.append(revised.select(one.cause, without, rows))
+        return selected if self.last is None or self._is_last(self.last.without(rows)) else None
+
+    def propose_without(
+        self, place: int, selected: SelectedCause, rows: IntArray, rng: np.random.Generator
+    ) -> SelectedCause:
+        """Unknown structure, as selected without some rows, with the law that these would propose."""
+        test, kept = selected.misfit, np.setdiff1d(np.arange(len(self.selection.problem)), rows)
+        assert test is not None
+        assert selected.tested is not None
+        likeliest = {int(np.argmax(test.log_evidence))}
+        smooth, memory = [], []
+        for k, one in enumerate(test.hypotheses):
+            if isinstance(one, AR1):
+                memory.append(k)
+            elif one.version is not None and classify_cause(one) == UNKNOWN:
+                smooth.append(k)
+        likeliest |= {max(own, key=lambda k: test.log_evidence[k]) for own in (smooth, memory) if own}
+        restricted = self.revised[place].restrict(test, sorted(likeliest), rows)
+        unknown = replace(selected, version=None, start=np.zeros(0), misfit=restricted)
+        linearized, expressions = selected.tested.select_rows(kept), self.selection.problem.expressions
+        (proposed,) = propose_term(linearized, [unknown], expressions, rng)
+        return replace(proposed, misfit=test)
+
+    def _ahead_of_noise(self, without: Misfit) -> float:
+        """Nats of a test's statistic beyond its critical value."""
+        statistic = float(logsumexp(list(without.log_evidence_by_cause.values())))
+        return statistic - without.critical_value(self.level)
+
+    def _is_known(self, place: int, without: Misfit, rows: IntArray) -> bool:
+        """Whether a cause in the law, or a pair of these, is selected first, and not unknown structure."""
+        causes, evidence = self.selection.law_causes, without.log_evidence_by_cause
+        to_beat = evidence.get(UNKNOWN, -np.inf) + CLEAR_NAME
+        if max(evidence.get(one.cause, -np.inf) for one in causes if one.cause != UNKNOWN) > to_beat:
+            return True
+        if place + 1 == len(causes):
+            return False
+        second = self.naming[place + 1].without(rows).log_evidence_by_cause
+        pair = evidence.get(causes[place].cause, -np.inf) + second.get(causes[place + 1].cause, -np.inf)
+        return pair > to_beat + PAIR_LOG_PENALTY
+
+    def _is_clear(
+        self, look: Look, without: Misfit, cause: str, rows: IntArray, *, was_revised: bool
+    ) -> bool:
+        whole, evidence = look.misfit, dict(without.log_evidence_by_cause)
+        if was_revised:  # by a known cause or not at all
+            evidence.pop(UNKNOWN, None)
+        own = evidence[cause]
+        least = own - max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
+        close = [one for one in evidence if one != cause and evidence[one] >= least]
+        version, before = (_best_version(test, cause) for test in (without, whole))
+        # Effects that are linear in all parameters need no refit to be compared, unless another form may take
+        # over a part of another cause.
+        linear = all(getattr(one, "combine_trials", False) for one in (version, before))
+        linear = linear and not (was_revised and len(version.parameters) != len(before.parameters))
+        return bool(
+            (version is before or linear)
+            and own > MIN_EVIDENCE_SHARE * whole.log_evidence_by_cause[cause]
+            and (not close or self._is_ahead(look, without, cause, close, rows))
+        )
+
+    def _is_ahead(
+        self, look: Look, without: Misfit, cause: str, close: Sequence[str], rows: IntArray
+    ) -> bool:
+        """Whether a cause is likelier than all close rivals, each refitted without the rows."""
+        if UNKNOWN in close:  # it has no law to refit
+            return False
+        try:
+            own, *others = (self._evidence(look, without, cause, one, rows) for one in (cause, *close))
+        except np.linalg.LinAlgError:
+            return False
+        return own > max(others) + CLEAR_REFIT
+
+    def _evidence(self, look: Look, without: Misfit, cause: str, rival: str, rows: IntArray) -> float:
+        """Log evidence of a rival in the place of a selected cause, refitted without the rows.
+
+        Where a refit to all rows gained nothing, that of its linearized effects without the rows.
+        """
+        if abs(look.refit_gain.get(rival, 0.0)) < CLEAR_REFIT:
+            return without.log_evidence_by_cause[rival]
+        before, after = self._refit(look, cause, None), self._refit(look, cause, rival)
+        change = after.log_likelihood(rows) - after.log_likelihood()
+        change -= before.log_likelihood(rows) - before.log_likelihood()
+        return look.misfit.log_evidence_by_cause[rival] + change
+
+    def _refit(self, look: Look, cause: str, rival: str | None) -> Refit:
+        """The law of all rows with a rival in the place of a selected cause, or with neither."""
+        if (cause, rival) not in self._refits:
+            causes = [one for one in self.selection.law_causes if one.cause != cause]
+            if rival is not None:
+                causes.append(make_selected(look.misfit, form_cause_set(look.misfit, rival)))
+            problem = self.selection.problem
+            self._refits[cause, rival] = Refit.of(problem.linearize_extended(fit_causes(problem, causes)))
+        return self._refits[cause, rival]
+
+    def _is_unknown(self, look: Look, without: Misfit) -> bool:
+        """Whether unknown structure is selected, and no cause."""
+        evidence = dict(without.log_evidence_by_cause)
+        own = evidence.pop(UNKNOWN)
+        margin = max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
+        return bool(
+            own > MIN_EVIDENCE_SHARE * look.misfit.log_evidence_by_cause[UNKNOWN]
+            and own > max(evidence.values(), default=-np.inf) + margin
+        )
+
+    def _is_ahead_of_pairs(self, place: int, without: Misfit) -> bool:
+        """Whether unknown structure is likelier than any combination of causes, which lose as many rows."""
+        whole, ahead = self.naming[place].misfit, self.selection.law_causes[place].ahead_of_pairs
+        own, share = (
+            without.log_evidence_by_cause[UNKNOWN],
+            np.count_nonzero(without.residual) / len(whole.residual),
+        )
+        to_beat = share * (whole.log_evidence_by_cause[UNKNOWN] + PAIR_LOG_PENALTY - ahead)
+        least = min(ahead, own + PAIR_LOG_PENALTY - to_beat)
+        return bool(least > max(CLEAR_NAME, CLEAR_PAIR_SHARE * own))
+
+    def _is_last(self, without: Misfit) -> bool:
+        """Whether no further known cause would be selected."""
+        if self._ahead_of_noise(without) < -CLEAR_TEST:
+            return True
+        evidence = dict(without.log_evidence_by_cause)
+        unknown = evidence.pop(UNKNOWN, -np.inf)
+        return bool(unknown > max(evidence.values(), default=-np.inf) + CLEAR_NAME)
+
+
+def prepare_looks(selection: Selection, alpha: float) -> Looks | None:
+    """The looks of a selection, if they can be repeated without some rows by linear algebra."""
+    tests = [*(one.misfit for one in selection.selected), selection.last_misfit]
+    known = [one for one in tests if one is not None]
+    possible = all(one.basis is not None and len(one.residual) == len(selection.problem) for one in known)
+    forced = any(
+        one.version is None and one.misfit is not None and _best_cause(one.misfit) != UNKNOWN
+        for one in selection.selected
+    )
+    independent = selection.problem.autocorrelation is None
+    # Of what was found first and is needless at the end, the search may make more without some rows.
+    first = next((one.naming or one.misfit for one in selection.law_causes), None)
+    dropped = first is not None and first.residual is not selection.first_misfit.residual
+    simple = independent and not (forced or dropped)
+    return Looks(selection, alpha) if possible and simple else None
+
+
+def _best_version(misfit: Misfit, cause: str) -> Any:
+    return misfit.best_hypothesis(cause).version
+
+
+def _best_cause(misfit: Misfit) -> str:
+    return max(misfit.log_evidence_by_cause, key=lambda cause: misfit.log_evidence_by_cause[cause])
