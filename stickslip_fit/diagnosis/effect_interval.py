@@ -21,6 +21,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
 from stickslip_fit.diagnosis.hypotheses import compute_changes
 from stickslip_fit.diagnosis.linearized import LinearizedFit, RowSubset, linearize_fit
+from stickslip_fit.diagnosis.minima import find_root
 from stickslip_fit.diagnosis.misfit import UNKNOWN, StructureRemoved, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, compute_cause_jacobian
@@ -249,8 +250,6 @@ def strength_interval(z: float, dimensions: float, threshold: float) -> Interval
         )
         return Interval(estimate, low if z > threshold else 0.0, high)
 
-    from scipy.optimize import brentq
-
     def cdf(strength: float) -> float:
         """Probability of less than `z`, given detection."""
         # By survival functions: far below the threshold, 1 - cdf would round to 0.
@@ -260,7 +259,7 @@ def strength_interval(z: float, dimensions: float, threshold: float) -> Interval
     def solve(probability: float) -> float:
         if cdf(1e-6) < probability:
             return 0.0
-        return float(brentq(lambda strength: cdf(strength) - probability, 1e-6, z + 10.0, xtol=1e-4))
+        return find_root(lambda strength: cdf(strength) - probability, 1e-6, z + 10.0, 1e-4)
 
     high, middle, low = map(solve, QUANTILES_95)
     return Interval(middle, low, high)

@@ -26,6 +26,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     split_sessions,
 )
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
+from stickslip_fit.diagnosis.minima import minimize_between
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, compute_misfit, drop_single_rows
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 
@@ -280,15 +281,13 @@ def estimate_strength(shape: Hypothesis, residual: Array) -> float:
 
     It is the tau of `misfit`, the noise being 1: between strong shrinkage and none.
     """
-    from scipy.optimize import minimize_scalar
-
     squares, share = shape.coefficients(residual) ** 2, shape.prior_share
 
     def deviance(log_tau: float) -> float:
         signal = np.exp(2.0 * log_tau) * share
         return float(np.sum(np.log1p(signal)) - np.sum(squares * signal / (1.0 + signal)))
 
-    return float(np.exp(minimize_scalar(deviance, bounds=LOG_STRENGTHS, method="bounded").x))
+    return float(np.exp(minimize_between(deviance, *LOG_STRENGTHS)))
 
 
 def alternative_forms(linearized: LinearizedFit, selected: SelectedCause) -> Array:

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -45,6 +45,7 @@ from stickslip_fit.diagnosis.hypotheses import (
 )
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1, log_memory_evidence
+from stickslip_fit.diagnosis.minima import find_root
 from stickslip_fit.diagnosis.noise_shape import Quantization
 
 UNKNOWN = "unknown"
@@ -169,7 +170,7 @@ class HypothesisBatch:
 
     @cached_property
     def _log_spread(self) -> Array:
-        """Log of the prior variance of the residuals over that of the noise, of each subspace and strength."""
+        """Log of the prior variance of the residuals over that of the noise, shape (S, len(STRENGTHS))."""
         signal, sizes = self._signal
         owner = np.repeat(np.arange(len(sizes)), sizes)
         spread = [np.bincount(owner, np.log1p(own), len(sizes)) for own in signal.T]
@@ -519,7 +520,6 @@ def detection_length(critical: float, n_shapes: int, df: int) -> float:
 
     `n_shapes` is the number of shapes over which the evidence of the cause is averaged.
     """
-    from scipy.optimize import brentq
 
     def evidence(z: float) -> float:
         signal = STRENGTHS**2
@@ -532,4 +532,4 @@ def detection_length(critical: float, n_shapes: int, df: int) -> float:
         return 0.0
     if evidence(MAX_DETECTION_LENGTH) < critical:  # too few rows for any effect to be detected
         return MAX_DETECTION_LENGTH
-    return float(brentq(lambda z: evidence(z) - critical, 0.0, MAX_DETECTION_LENGTH, xtol=1e-3))
+    return find_root(lambda z: evidence(z) - critical, 0.0, MAX_DETECTION_LENGTH)

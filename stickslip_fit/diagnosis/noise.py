@@ -19,6 +19,7 @@ from scipy.special import digamma, polygamma, softmax, stdtrit
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
+from stickslip_fit.diagnosis.minima import find_root
 from stickslip_fit.diagnosis.misfit import TAIL_DF, StructureRemoved, log_likelihood_ratio
 from stickslip_fit.diagnosis.noise_shape import Skewness, fit_skewness
 from stickslip_fit.diagnosis.unevenness import (
@@ -182,8 +183,6 @@ def shrink_variances(variance: Array, df: Array) -> Array:
     >>> shrink_variances(np.array([0.8, 1.2]), np.array([20.0, 20.0])).round(2)
     array([1.05, 1.05])
     """
-    from scipy.optimize import brentq
-
     known = df >= MIN_DRIVE_DF
     if not known.any():
         return variance
@@ -192,7 +191,7 @@ def shrink_variances(variance: Array, df: Array) -> Array:
     excess = float(np.var(log_variance, ddof=1)) if known.sum() > 1 else 0.0
     excess -= float(np.mean(polygamma(1, df[known] / 2)))
     excess = float(np.clip(excess, polygamma(1, most / 2), polygamma(1, least / 2)))
-    prior_df = brentq(lambda d: float(polygamma(1, d / 2)) - excess, least / 2, 2 * most)
+    prior_df = find_root(lambda d: float(polygamma(1, d / 2)) - excess, least / 2, 2 * most)
     mean = float(own @ variance) / (float(own.sum()) - 2.0)
     return np.asarray((own * variance + (prior_df - 2.0) * mean) / (own + prior_df - 2.0))
 

@@ -11,6 +11,7 @@ noise as assumed has any.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.diagnosis.minima import minimize_simplex
 from stickslip_fit.diagnosis.unevenness import contaminate, log_student_t
 
 TAIL_DF = (5.0, 200.0)  # of Student t noise
@@ -83,28 +85,20 @@ def fit_skewness(deviation: Array) -> Skewness | None:
         location, log_scale = values[:2]
         return -float(np.sum(_log_skewed(z, location, np.exp(log_scale), values[2] if g is None else g, df)))
 
-    options: Any = {"xatol": 1e-3, "fatol": 1e-2, "maxiter": 400}
     tails = (5.0, 8.0, 15.0, 200.0)
-    symmetric = min(_minimize(negative_log, np.zeros(2), (df, 0.0), options).fun for df in tails)
+    symmetric = min(_minimize(negative_log, np.zeros(2), df, 0.0)[1] for df in tails)
     fits = [
-        _minimize(negative_log, np.array([0.0, 0.0, start]), (df,), options)
-        for df in TAIL_DF
-        for start in (-0.3, 0.3)
+        _minimize(negative_log, np.array([0.0, 0.0, start]), df) for df in TAIL_DF for start in (-0.3, 0.3)
     ]
-    best = min(fits, key=lambda fit: fit.fun)
-    location, log_scale, g = best.x
-    if symmetric - best.fun < MIN_SKEW_LOG_RATIO or abs(g) > MAX_SKEW:
+    (location, log_scale, g), least = min(fits, key=lambda fit: fit[1])
+    if symmetric - least < MIN_SKEW_LOG_RATIO or abs(g) > MAX_SKEW:
         return None
     return Skewness(float(g), middle + unit * float(location), unit * float(np.exp(log_scale)))
 
 
-def _minimize(function: Any, start: Array, more: tuple[float, ...], options: Any) -> Any:
-    from scipy.optimize import minimize
-
+def _minimize(function: Callable[..., float], start: Array, *more: float) -> tuple[Array, float]:
     simplex = np.vstack([start, start + 0.2 * np.eye(len(start))])
-    return minimize(
-        function, start, more, method="Nelder-Mead", options=options | {"initial_simplex": simplex}
-    )
+    return minimize_simplex(lambda values: function(values, *more), simplex, 1e-3, 1e-2, 400)
 
 
 def _log_skewed(z: Array, location: float, scale: float, g: float, df: float) -> Array:
