@@ -123,8 +123,10 @@ class LeftOut:
         if blocks:
             entries = np.concatenate([one.roots.ravel() for one in blocks])
             positions = [np.broadcast_arrays(one.members[:, None], one.numbers[:, :, None]) for one in blocks]
-            at = (np.concatenate([each.ravel() for each in axis]) for axis in zip(*positions, strict=True))
-            roots = csr_array((entries, tuple(at)), shape=(len(rows), width))
+            row, column = (
+                np.concatenate([part.ravel() for part in axis]) for axis in zip(*positions, strict=True)
+            )
+            roots = csr_array((entries, (row, column)), shape=(len(rows), width))
         left, singular, _ = np.linalg.svd(roots.T @ border, full_matrices=False)
         size = singular**2 / np.maximum(1.0 - singular**2, MIN_KNOWN)
         return cls(rows, roots, tuple(blocks), roots @ (left * np.sqrt(size)))
