@@ -12,6 +12,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._format import format_percent
+from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.base import Cause, CountCause, ExtendedLaw, FactorCause
 from stickslip_fit.causes.parameters import CauseParameter, Row, Sizes
@@ -148,10 +149,10 @@ class GuideProfileCause(FactorCause):
         if isinstance(law, ExtendedLaw):
             return super().changes(law, rows, values, trials)
         ends = np.stack([np.asarray(rows[end], dtype=float) for end in ("start", "stop")], axis=-1)
-        stretches, which = np.unique(ends, axis=0, return_inverse=True)
+        stretches, which = unique_rows(ends)
         constant = ConstantStep(PRISMATIC, Configuration("anywhere"))
         distinct = dict(zip(("start", "stop"), stretches.T, strict=True))
-        return Cause.changes(self, constant, distinct, np.ones((len(stretches), 1)), trials)[which.ravel()]
+        return Cause.changes(self, constant, distinct, np.ones((len(stretches), 1)), trials)[which]
 
 
 GUIDE_MIDDLE = 0.006  # m

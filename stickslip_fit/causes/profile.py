@@ -16,6 +16,7 @@ import pandas as pd
 from scipy.special import gammaincinv
 
 from stickslip_fit._format import format_direction, join_words
+from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause, FactorCause, extend
 from stickslip_fit.causes.parameters import CauseParameter, Row, SizedParameter, collect_row_values
@@ -194,12 +195,12 @@ class AlongTravel(LinearFactor):
         places = (np.arange(N_PIECES) + 0.5) / N_PIECES
         gamma = before.gamma(state_at(law.joint, row, start + (stop - start) * places), values)
         low, high = next((low, high) for joint, low, high in self.travel if joint == law.joint)
-        stretches, which = np.unique(np.concatenate([start, stop], axis=1), axis=0, return_inverse=True)
+        stretches, which = unique_rows(np.concatenate([start, stop], axis=1))
         shares = np.linspace(stretches[:, 0], stretches[:, 1], gamma.shape[1] + 1, axis=1)
         integrals = _cosine_integrals((shares - low) / (high - low), len(self.shape))
         means = np.diff(integrals, axis=1) / np.diff(shares, axis=1)[:, :, None] * (high - low)
         weights = (1.0 / gamma) / np.sum(1.0 / gamma, axis=1, keepdims=True)
-        mean = np.einsum("np,npk->nk", weights, means[which.ravel()])
+        mean = np.einsum("np,npk->nk", weights, means[which])
         return -self._place(mean, law.joint, np.sign(stop - start))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._progress import ProgressCallback, ignore_progress
+from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.autocorrelation import variance_over_innovations
 from stickslip_fit.diagnosis.cross_validation import (
@@ -308,7 +309,7 @@ def number_session_configurations(rows: pd.DataFrame) -> IntArray:
     """A number for each configuration of each session: what is held out together, shape (n,)."""
     session, _ = pd.factorize(rows["session"].astype(object))
     keys = np.column_stack([session, number_configurations(rows)])
-    return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+    return unique_rows(keys)[1]
 
 
 def select_in_fold(problem: DiagnosisProblem, rng: np.random.Generator, alpha: float) -> Selection:

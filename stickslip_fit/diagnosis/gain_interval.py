@@ -16,6 +16,7 @@ import numpy as np
 from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
+from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.cross_validation import Split
 from stickslip_fit.diagnosis.misfit import log_likelihood_ratio
@@ -412,8 +413,9 @@ def _held_out_rms(
         held_out = operators.prediction.predicted
         scale, plain = campaign.scale[held_out, None], operators.prediction.subtract_prediction(responses)
         squares[:, 0] += np.sum((plain * scale) ** 2, axis=0)
-        for result in np.unique(results, axis=0):
-            logs = np.flatnonzero(np.all(results == result, axis=1))
+        distinct, which = unique_rows(results)
+        for number, result in enumerate(distinct):
+            logs = np.flatnonzero(which == number)
             for step in range(1, k + 1):
                 place, penalties = _extension_columns(campaign, result[:step])
                 added = predict_extension(

@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
+from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, split_positions
 from stickslip_fit.diagnosis.noise import NEIGHBOURS, Outliers, find_runs
@@ -210,7 +211,7 @@ def _merge_sessions(part: LawBlock, drive: IntArray) -> LawBlock:
 def _have_company(z: Array, rows: IntArray, problem: DiagnosisProblem) -> BoolArray:
     """Whether most of a row's neighbours in time, or of its replicates, depart as it does."""
     session = problem.rows["session"].astype(object).factorize()[0]
-    group = np.unique(np.column_stack([session, problem.noise_group]), axis=0, return_inverse=True)[1].ravel()
+    group = unique_rows(np.column_stack([session, problem.noise_group]))[1]
     cell = np.unique(
         np.column_stack([problem.configuration, problem.noise_group]), axis=0, return_inverse=True
     )[1].ravel()

@@ -165,7 +165,9 @@ class DirectionGroup:
             np.maximum(first, self.least, out=first)
 
 
-def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, ...]:
+def group_directions(
+    hypotheses: Iterable[Hypothesis], dtype: npt.DTypeLike = np.float64
+) -> tuple[DirectionGroup, ...]:
     """The directions of hypotheses, those on the same rows together; sessions have no row in common."""
     key_of: dict[int, bytes] = {}
     rows_of: dict[bytes, IntArray | slice] = {}
@@ -192,7 +194,7 @@ def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, 
             first += width
     groups = []
     for key, rows in rows_of.items():
-        joined, n_positive = np.concatenate(list(directions[key].values())), None
+        joined, n_positive = np.concatenate(list(directions[key].values()), dtype=dtype), None
         if key in sign_of:
             order = np.argsort(-sign_of[key], kind="stable")
             rows = np.arange(len(order))[rows][order] if isinstance(rows, slice) else rows[order]
@@ -207,7 +209,7 @@ def group_directions(hypotheses: Iterable[Hypothesis]) -> tuple[DirectionGroup, 
                 joined,
                 np.repeat(firsts, widths) + inside,
                 np.repeat(beginnings + len(joined) * signed, widths) + inside,
-                np.array(least[key])[:, None],
+                np.array(least[key], dtype)[:, None],
                 n_positive,
             )
         )

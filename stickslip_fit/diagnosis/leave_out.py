@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import coo_array, csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
@@ -93,26 +93,36 @@ class LeftOut:
         is_shared = np.bincount(basis.indices, minlength=basis.shape[1]) > SHARED_FILL * basis.shape[0]
         inside = csc_array(basis[rows])
         own, border = csr_array(inside[:, ~is_shared]), inside[:, is_shared].toarray()
-        _, block = connected_components(abs(own) @ abs(own).T, directed=False)
-        found: dict[tuple[int, ...], list[tuple[IntArray, Array, IntArray]]] = {}
-        places, columns, entries, width, last = [], [], [], 0, 0
-        groups = split_positions(block)
-        together = own[np.concatenate([*groups, rows[:0]])]
+        overlap = coo_array(own @ own.T)
+        _, block = connected_components(overlap, directed=False)
+        groups, width, blocks = split_positions(block), 0, []
+        sizes, place = np.array([len(members) for members in groups]), np.empty(len(rows), dtype=np.intp)
         for members in groups:
-            _, part = _pick_columns(together, last, last := last + len(members))
-            known, vectors = np.linalg.eigh(np.eye(len(members)) - part @ part.T)
-            root = vectors[:, known > MIN_KNOWN] / np.sqrt(known[known > MIN_KNOWN])
-            numbers = np.arange(width, width := width + root.shape[1])
-            found.setdefault(root.shape, []).append((members, root.T, numbers))
-            places.append(np.repeat(members, len(numbers)))
-            columns.append(np.tile(numbers, len(members)))
-            entries.append(root.ravel())
-        positions = (np.concatenate(places), np.concatenate(columns))
-        roots = csr_array((np.concatenate(entries), positions), shape=(len(rows), width))
+            place[members] = np.arange(len(members))
+        for size in np.unique(sizes).tolist():
+            alike, inside = np.flatnonzero(sizes == size), sizes[block[overlap.row]] == size
+            row, column = overlap.row[inside], overlap.col[inside]
+            projector = np.tile(np.eye(size), (len(alike), 1, 1))
+            projector[np.searchsorted(alike, block[row]), place[row], place[column]] -= overlap.data[inside]
+            known, vectors = np.linalg.eigh(projector)
+            rank = np.sum(known > MIN_KNOWN, axis=1)
+            for c in np.unique(rank).tolist():
+                some = np.flatnonzero(rank == c)
+                scaled = vectors[some, :, size - c :] / np.sqrt(known[some, None, size - c :])
+                numbers = np.arange(width, width := width + len(some) * c).reshape(-1, c)
+                members = np.stack([groups[k] for k in alike[some]])
+                blocks.append(_LeftOutBlocks(members, scaled.swapaxes(1, 2), numbers))
+        roots = csr_array((len(rows), width))
+        if blocks:
+            entries = np.concatenate([one.roots.ravel() for one in blocks])
+            positions = [np.broadcast_arrays(one.members[:, None], one.numbers[:, :, None]) for one in blocks]
+            row, column = (
+                np.concatenate([part.ravel() for part in axis]) for axis in zip(*positions, strict=True)
+            )
+            roots = csr_array((entries, (row, column)), shape=(len(rows), width))
         left, singular, _ = np.linalg.svd(roots.T @ border, full_matrices=False)
         size = singular**2 / np.maximum(1.0 - singular**2, MIN_KNOWN)
-        blocks = tuple(_LeftOutBlocks(*map(np.stack, zip(*own, strict=True))) for own in found.values())
-        return cls(rows, roots, blocks, roots @ (left * np.sqrt(size)))
+        return cls(rows, roots, tuple(blocks), roots @ (left * np.sqrt(size)))
 
     def coordinates(self, columns: Array) -> Array:
         """Coordinates of projected columns, (h, m) -> (h' + k, m), with products under the inverse of P."""
@@ -144,15 +154,6 @@ class LeftOut:
         left = columns + basis @ (basis[self.rows].T @ combined)
         left[self.rows] = 0.0
         return np.asarray(left)
-
-
-def _pick_columns(matrix: csr_array, first: int, last: int) -> tuple[IntArray, Array]:
-    """The columns in which some rows of a matrix have entries, and the rows there, (rows, columns)."""
-    ends = matrix.indptr[first : last + 1]
-    used, column = np.unique(matrix.indices[ends[0] : ends[-1]], return_inverse=True)
-    dense = np.zeros((last - first, len(used)))
-    dense[np.repeat(np.arange(last - first), np.diff(ends)), column] = matrix.data[ends[0] : ends[-1]]
-    return used.astype(np.intp), dense
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,8 +294,9 @@ class Look:
                 blocks.append(
                     _Blocks(place, np.sqrt(np.stack(shares)), np.array(owners), np.array(least_of)[:, None])
                 )
-            joined, place_of = np.zeros((len(rows) + 1, last)), np.full(n, -1)
+            joined, place_of = np.empty((len(rows) + 1, last)), np.full(n, -1)
             np.concatenate(directions, axis=1, out=joined[:-1])
+            joined[-1] = 0.0
             place_of[rows] = np.arange(len(rows))
             along = self.misfit.residual[rows] @ joined[:-1]
             overlap = np.asarray(self.basis[rows].T @ joined[:-1])

@@ -20,6 +20,7 @@ import pandas as pd
 from scipy.sparse import csc_array, csr_array, hstack
 from scipy.sparse.linalg import splu
 
+from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.estimation._block_arrow import share_with_all, shared_covariance, solve_block_arrow
 from stickslip_fit.estimation._optimize import Groups
@@ -452,5 +453,5 @@ def _group_blocks(rows: pd.DataFrame, parts: Sequence[LawBlock]) -> Groups:
     keys = np.empty((len(rows), 2), dtype=np.intp)
     for number, part in enumerate(parts):
         keys[part.rows] = np.column_stack([np.full(len(part.rows), number), part.block])
-    labels, of_row = np.unique(keys, axis=0, return_inverse=True)
-    return Groups(pd.DataFrame(labels), of_row.ravel())
+    labels, of_row = unique_rows(keys)
+    return Groups(pd.DataFrame(labels), of_row)

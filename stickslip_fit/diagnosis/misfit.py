@@ -32,7 +32,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -41,7 +41,7 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.special import logsumexp, poch, softmax
 
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.hypotheses import (
     DirectionGroup,
     Hypothesis,
@@ -77,37 +77,27 @@ BATCH_SIZE, MAX_ELEMENTS = 250, 8_000_000
 
 @dataclass(frozen=True, eq=False)
 class HypothesisBatch:
-    """Hypotheses side by side, with m directions in all; one matrix product for each session evaluates them.
+    """Hypotheses side by side, with m directions in all, which they may share.
 
     Attributes
     ----------
-    groups : tuple of DirectionGroup
-    explained_share : sparse array, shape (S len(STRENGTHS), m)
-        Of the square along each direction, in the order of `groups`: what each of S subspace hypotheses
-        explains of it at each strength. Hypotheses may share directions.
-    log_spread : array, shape (S len(STRENGTHS),)
-        Log of the prior variance of the residuals over that of the noise.
+    subspaces : tuple of Hypothesis
     ar1s : tuple of AR1
     position : array of int, shape (H,)
         Of each hypothesis, in the order given, in (subspaces, AR(1)).
     df : int
     """
 
-    groups: tuple[DirectionGroup, ...]
-    explained_share: csr_array
-    log_spread: Array
+    subspaces: tuple[Hypothesis, ...]
     ar1s: tuple[AR1, ...]
     position: npt.NDArray[np.intp]
     df: int
 
-    @property
-    def n_directions(self) -> int:
-        """Number of directions of all hypotheses, those with a sign besides."""
-        return int(self.explained_share.shape[1])
-
     def log_evidence(self, residuals: Array) -> Array:
         """Log Bayes factor of each hypothesis against noise alone; (n, k) -> (H, k)."""
-        at_each = self._at_each_strength(residuals, np.sum(residuals**2, axis=0))
+        along = self._coefficients(residuals)
+        explained_share = self._explained_share(np.arange(len(along)), len(along))
+        at_each = self._at_each_strength(explained_share @ along**2, np.sum(residuals**2, axis=0))
         subspaces = logsumexp(at_each, axis=1) - np.log(len(STRENGTHS))
         return np.concatenate([subspaces, *self._ar1_log_evidence(residuals)])[self.position]
 
@@ -119,7 +109,8 @@ class HypothesisBatch:
         weight = np.empty(len(log_weight))
         weight[self.position] = np.exp(log_weight)
         single, total = np.float32, np.sum(residuals**2, axis=0)
-        subspaces = self._single_precision._at_each_strength(residuals.astype(single), total.astype(single))
+        explained = self._explain(residuals.astype(single))
+        subspaces = self._at_each_strength(explained, total.astype(single))
         ar1s = [np.zeros((0, len(total))), *self._ar1_log_evidence(residuals)]
         others = np.concatenate(ar1s)
         highest = np.maximum(subspaces.max(axis=(0, 1), initial=0.0), others.max(axis=0, initial=0.0))
@@ -128,66 +119,100 @@ class HypothesisBatch:
         mean = weight[:n].astype(single) @ subspaces.mean(axis=1) + weight[n:] @ np.exp(others - highest)
         return np.asarray(np.log(mean) + highest)
 
-    @cached_property
-    def _single_precision(self) -> HypothesisBatch:
-        single = np.float32
-        return replace(
-            self,
-            groups=tuple(
-                replace(one, directions=one.directions.astype(single), least=one.least.astype(single))
-                for one in self.groups
-            ),
-            explained_share=self.explained_share.astype(single),
-            log_spread=self.log_spread.astype(single),
-        )
+    def _explain(self, residuals: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Part of the squares of samples, (n, k), that each subspace explains at each strength."""
+        groups, explained_share = self._grouped
+        along, first = np.empty((self.n_coefficients, residuals.shape[1]), residuals.dtype), 0
+        for group in groups:
+            group.coefficients(residuals, along[first : (first := first + group.n_coefficients)])
+        return np.asarray(explained_share @ np.square(along, out=along))
 
-    def _at_each_strength(self, residuals: npt.NDArray[Any], total: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    @cached_property
+    def n_coefficients(self) -> int:
+        """Number of coefficients of a sample, those with a sign besides."""
+        return int(self._grouped[1].shape[1])
+
+    def _coefficients(self, residuals: Array) -> Array:
+        """Along each direction, one hypothesis after the other, (n, k) -> (m, k)."""
+        inside: dict[tuple[int, bool], Array] = {}
+        known: dict[tuple[int, bool], Array] = {}
+        along = [residuals[:0]]
+        for one in self.subspaces:
+            is_signed = one.sign is not None
+            for rows, block in one.blocks:
+                if (key := (id(block), is_signed)) not in known:
+                    if (place := (id(rows), is_signed)) not in inside:
+                        own = residuals[rows]
+                        inside[place] = own if one.sign is None else own * one.sign[rows, None]
+                    known[key] = block.T @ inside[place]
+                    if one.one_sided:
+                        np.maximum(known[key], 0.0, out=known[key])
+                along.append(known[key])
+        return np.concatenate(along)
+
+    @cached_property
+    def _grouped(self) -> tuple[tuple[DirectionGroup, ...], csr_array]:
+        """Directions in single precision, one matrix product for each session, and what is explained."""
+        groups = group_directions(self.subspaces, np.float32)
+        first = np.cumsum([0, *(group.n_coefficients for group in groups)])
+        column = np.empty(sum(len(group.place) for group in groups), dtype=np.intp)
+        for k, group in zip(first, groups, strict=False):
+            column[group.place] = k + group.index
+        return groups, self._explained_share(column, int(first[-1])).astype(np.float32)
+
+    def _explained_share(self, column: IntArray, number: int) -> csr_array:
+        """Of the square of each of so many coefficients, what each subspace explains at each strength.
+
+        Shape (S len(STRENGTHS), number); `column`, shape (m,), is the coefficient of each direction.
+        """
+        signal, sizes = self._signal
+        ends = np.r_[0, np.cumsum(np.repeat(sizes, len(STRENGTHS)))]
+        first = np.repeat(np.cumsum(sizes) - sizes, len(STRENGTHS))
+        strength = np.repeat(np.arange(len(ends) - 1), np.diff(ends))
+        direction = np.arange(ends[-1]) + (first - ends[:-1])[strength]
+        own = signal[direction, strength % len(STRENGTHS)]
+        entries = own / (1.0 + own), column[direction], ends
+        return csr_array(entries, shape=(len(ends) - 1, number))
+
+    @cached_property
+    def _log_spread(self) -> Array:
+        """Log of the prior variance of the residuals over that of the noise, shape (S, len(STRENGTHS))."""
+        signal, sizes = self._signal
+        owner = np.repeat(np.arange(len(sizes)), sizes)
+        spread = [np.bincount(owner, np.log1p(own), len(sizes)) for own in signal.T]
+        return np.stack(spread, axis=1)
+
+    @cached_property
+    def _signal(self) -> tuple[Array, IntArray]:
+        """Prior variance along each direction at each strength, and how many directions each subspace has."""
+        shares = [one.prior_share for one in self.subspaces]
+        share = np.concatenate([np.zeros(0), *shares])
+        return STRENGTHS**2 * share[:, None], np.array([len(own) for own in shares], dtype=np.intp)
+
+    def _at_each_strength(self, explained: npt.NDArray[Any], total: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Log Bayes factor of each subspace at each strength, shape (S, len(STRENGTHS), k).
 
-        `total`, shape (k,), are the sums of squares of the residuals.
+        `explained`, shape (S len(STRENGTHS), k), of sums of squares of the residuals, shape (k,).
         """
-        along, first = np.empty((self.n_directions, residuals.shape[1]), residuals.dtype), 0
-        for group in self.groups:
-            group.coefficients(residuals, along[first : (first := first + group.n_coefficients)])
-        log = self.explained_share @ np.square(along, out=along)
+        log = explained.reshape(-1, len(STRENGTHS), len(total))
         log /= -total
         largest = MAX_EXPLAINED if log.dtype == np.float64 else 1.0 - 1e-6
         np.log1p(np.maximum(log, -largest, out=log), out=log)
         log *= -0.5 * self.df
-        log -= 0.5 * self.log_spread[:, None]
-        return log.reshape(-1, len(STRENGTHS), residuals.shape[1])
+        log -= 0.5 * self._log_spread[:, :, None].astype(log.dtype)
+        return log
 
     def _ar1_log_evidence(self, residuals: Array) -> list[Array]:
         return [own[None] for own in log_memory_evidence(self.ar1s, residuals, self.df)]
 
 
 def batch_hypotheses(hypotheses: Sequence[Hypothesis | AR1], df: int) -> HypothesisBatch:
-    """Put hypotheses side by side: subspaces, their directions grouped by rows, then AR(1)."""
-    subspaces = [one for one in hypotheses if isinstance(one, Hypothesis)]
+    """Put hypotheses side by side: subspaces, then AR(1)."""
     is_ar1 = np.array([isinstance(one, AR1) for one in hypotheses])
     position = np.empty(len(hypotheses), dtype=np.intp)
     position[np.argsort(is_ar1, kind="stable")] = np.arange(len(hypotheses))
-    groups = group_directions(subspaces)
-    order = np.concatenate([np.zeros(0, dtype=np.intp), *(group.place for group in groups)])
-    sizes = [len(one.prior_share) for one in subspaces]
-    owner = np.repeat(np.arange(len(subspaces)), sizes)[order]
-    share = np.concatenate([np.zeros(0), *(one.prior_share for one in subspaces)])[order, None]
-    signal, n_strengths = STRENGTHS**2 * share, len(STRENGTHS)
-    row = owner[:, None] * n_strengths + np.arange(n_strengths)
-    first = np.cumsum([0, *(group.n_coefficients for group in groups)])
-    columns = [k + group.index for k, group in zip(first, groups, strict=False)]
-    column = np.concatenate([np.zeros(0, dtype=np.intp), *columns])
-    column = np.broadcast_to(column[:, None], row.shape)
-    size = len(subspaces) * n_strengths
-    entries = (signal / (1.0 + signal)).ravel(), (row.ravel(), column.ravel())
-    return HypothesisBatch(
-        groups,
-        csr_array(entries, shape=(size, int(first[-1]))),
-        np.bincount(row.ravel(), np.log1p(signal).ravel(), size),
-        tuple(one for one in hypotheses if isinstance(one, AR1)),
-        position,
-        df,
-    )
+    subspaces = tuple(one for one in hypotheses if isinstance(one, Hypothesis))
+    return HypothesisBatch(subspaces, tuple(one for one in hypotheses if isinstance(one, AR1)), position, df)
 
 
 @dataclass(frozen=True, eq=False)
@@ -371,7 +396,7 @@ def compute_misfit(
     def simulate(draw_noise: NoiseSampler, number: int) -> tuple[Array, float]:
         """The statistic in samples of noise, and the share of at least the log's."""
         null = np.zeros(0)
-        size = min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), batch.n_directions), 1))
+        size = min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), batch.n_coefficients), 1))
         for first in range(0, number, size):
             noise = winsorize(draw_noise(min(size, number - first)))
             null = np.concatenate([null, batch.log_mean_evidence(linearized.project(noise), weight)])

@@ -23,6 +23,7 @@ import pandas as pd
 from scipy.sparse import csr_array
 from scipy.special import poch
 
+from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import POSITION
 from stickslip_fit.diagnosis.linearized import LinearizedFit
@@ -223,7 +224,7 @@ def group_rows(
     if {"joint", "start", "stop", "before_load"} <= set(rows.columns):
         joint = rows["joint"].to_numpy(int)
         ends = np.sort(rows[["start", "stop"]].to_numpy(float), axis=1).round(6)
-        labels["range"] = np.unique(np.column_stack([joint, ends]), axis=0, return_inverse=True)[1].ravel()
+        labels["range"] = unique_rows(np.column_stack([joint, ends]))[1]
         for carrier in find_carriers(linearized):
             labels[carrier.name] = _bin(traverse_average(carrier.values), joint)
         labels[POSITION] = _bin(_estimate_local_sds(ends, joint, residuals), joint)

@@ -29,6 +29,7 @@ from stickslip_fit._format import (
     pluralize,
 )
 from stickslip_fit._io import write_atomically
+from stickslip_fit._rows import unique_rows
 from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers, summarize, words
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.logs._frame import check_frame
@@ -78,7 +79,7 @@ def number_configurations(rows: pd.DataFrame, features: Array | None = None) -> 
         features = rows[["joint", *position_columns(rows)]].astype(float).fillna(9.0).to_numpy()
     ends = np.sort(rows[["start", "stop"]].to_numpy(float), axis=1)
     keys = np.column_stack([features, ends]).round(_NUMBER_DECIMALS)
-    return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+    return unique_rows(keys)[1]
 
 
 def _list_configurations(rows: pd.DataFrame) -> pd.DataFrame:

@@ -1,0 +1,28 @@
+"""Distinct rows of an array of numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from stickslip_fit._typing import IntArray
+
+
+def unique_rows[T: np.generic](rows: npt.NDArray[T]) -> tuple[npt.NDArray[T], IntArray]:
+    """The distinct rows in rising order, and which of them each row is: (n, k) -> (m, k) and (n,).
+
+    As `np.unique` along the first axis, which compares rows as records, several times as slow.
+
+    Examples
+    --------
+    >>> distinct, which = unique_rows(np.array([[2, 1], [1, 5], [2, 1]]))
+    >>> distinct.tolist(), which.tolist()
+    ([[1, 5], [2, 1]], [1, 0, 1])
+    """
+    order = np.lexsort(rows.T[::-1])
+    ordered = rows[order]
+    first = np.ones(len(rows), dtype=bool)
+    first[1:] = np.any(ordered[1:] != ordered[:-1], axis=1)
+    which = np.empty(len(rows), dtype=np.intp)
+    which[order] = np.cumsum(first) - 1
+    return ordered[first], which
