@@ -7,7 +7,7 @@ values of tau. The statistic is the mean Bayes factor over all causes and unstru
 
 For the p-value, residuals beyond 2.5 standard deviations are set to that first, in the log as in every
 sample (winsorized; P. J. Huber, Ann. Math. Stat. 35:73, 1964): of heavy-tailed noise a single row would
-otherwise decide about hypotheses that rest on few rows.
+otherwise decide about hypotheses that rest on few rows. Not so where noise is autocorrelated.
 
 Its null distribution is a wild bootstrap: signs of the residuals flipped at random, then the
 calibration parameters projected out again (J. L. Horowitz, Annu. Rev. Econ. 11:193, 2019). A real effect
@@ -392,13 +392,15 @@ def compute_misfit(
     own = batch.log_evidence(linearized.residual[:, None])[:, 0]
     by_cause = average_by_cause(causes, weight, own)
     statistic, null, share = -np.inf, np.zeros(0), np.nan
+    # In noise that persists, what changes at once and stays so is one row far out, whitened.
+    bound = MAX_DEVIATION if linearized.noise_filter is None else np.inf
 
     def simulate(draw_noise: NoiseSampler, number: int) -> tuple[Array, float]:
         """The statistic in samples of noise, and the share of at least the log's."""
         null = np.zeros(0)
         size = min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), batch.n_coefficients), 1))
         for first in range(0, number, size):
-            noise = winsorize(draw_noise(min(size, number - first)))
+            noise = winsorize(draw_noise(min(size, number - first)), bound)
             null = np.concatenate([null, batch.log_mean_evidence(linearized.project(noise), weight)])
             if max_exceedances is not None and np.sum(null >= statistic) >= max_exceedances:
                 break
@@ -408,7 +410,7 @@ def compute_misfit(
         left = remove_structure(linearized.residual, hypotheses, own)
         shrinkage = np.sqrt(1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE))
         standardized = left.residual / shrinkage
-        within = linearized.project(winsorize(linearized.residual / shrinkage) * shrinkage)
+        within = linearized.project(winsorize(linearized.residual / shrinkage, bound) * shrinkage)
         statistic = float(batch.log_mean_evidence(within[:, None], weight)[0])
         wild = _make_wild_sampler(linearized, left, rng)
         student = _make_student_sampler(standardized, rng)
@@ -440,10 +442,10 @@ def compute_misfit(
     )
 
 
-def winsorize(columns: Array) -> Array:
-    """Columns, shape (n,) or (n, k), cut off at `MAX_DEVIATION` times the rms of each."""
-    bound = MAX_DEVIATION * np.sqrt(np.mean(columns**2, axis=0))
-    return np.asarray(np.clip(columns, -bound, bound))
+def winsorize(columns: Array, bound: float) -> Array:
+    """Columns, shape (n,) or (n, k), cut off at so many times the rms of each."""
+    most = bound * np.sqrt(np.mean(columns**2, axis=0))
+    return np.asarray(np.clip(columns, -most, most))
 
 
 NoiseSampler = Callable[[int], Array]

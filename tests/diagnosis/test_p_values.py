@@ -39,8 +39,10 @@ def test_a_small_p_value_is_that_of_heavy_tails_where_noise_has_them(rows, linea
         return logsumexp(batch.log_evidence(residuals), axis=0)
 
     df = rng.choice(TAIL_DF, 12_000, p=_tail_probabilities(linearized.residual))
-    simulated = statistic(linearized.project(winsorize(rng.standard_t(df, (len(rows), len(df))))))
-    expected = np.mean(simulated >= statistic(linearized.project(winsorize(linearized.residual))[:, None]))
+    simulated = statistic(linearized.project(winsorize(rng.standard_t(df, (len(rows), len(df))), 2.5)))
+    expected = np.mean(
+        simulated >= statistic(linearized.project(winsorize(linearized.residual, 2.5))[:, None])
+    )
     assert 0.003 < expected < 0.05
     found = [compute_misfit(linearized, tried, 499, rng) for _ in range(8)]
     # Of 8 x 2000 samples some 80 lie above: four standard errors of their number, and of that of `simulated`.
@@ -65,11 +67,11 @@ def test_one_row_far_out_does_not_hide_an_effect_that_many_rows_share(rows, line
 def test_residuals_are_cut_off_at_multiples_of_their_own_rms():
     columns = np.random.default_rng(1).standard_normal((4000, 2)) * [1.0, 1e-6]
     columns[7] = [50.0, -1e-6]
-    within = winsorize(columns)
+    within = winsorize(columns, 2.5)
     rms = np.sqrt(np.mean(columns**2, axis=0))
     assert within[7] == pytest.approx([2.5 * rms[0], -1e-6])
     assert np.array_equal(within != columns, np.abs(columns) > 2.5 * rms)
-    assert winsorize(columns[:, 0]) == pytest.approx(within[:, 0], rel=1e-12)
+    assert winsorize(columns[:, 0], 2.5) == pytest.approx(within[:, 0], rel=1e-12)
 
 
 @pytest.mark.parametrize("size", [0.0, 1.0])
