@@ -434,7 +434,8 @@ def _compute_changes(linearized: LinearizedFit | SessionFit, version: Any, trial
     changes = np.zeros((len(linearized), len(trials)))
     for part, table in zip(linearized.parts, linearized.tables, strict=True):
         if acts_on(version, part.law):
-            changes[part.rows] = version.changes(part.law, table, part.values, trials)
+            with np.errstate(divide="ignore", invalid="ignore"):  # what stalls is no number
+                changes[part.rows] = version.changes(part.law, table, part.values, trials)
     return changes
 
 
