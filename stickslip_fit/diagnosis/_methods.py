@@ -30,6 +30,7 @@ REFERENCES = {
     "Davies 1987": "R. B. Davies, Hypothesis testing when a nuisance parameter is present only under the "
     "alternative, Biometrika 74:33, 1987.",
     "Horowitz 2019": "J. L. Horowitz, Bootstrap methods in econometrics, Annu. Rev. Econ. 11:193, 2019.",
+    "Huber 1964": "P. J. Huber, Robust estimation of a location parameter, Ann. Math. Stat. 35:73, 1964.",
     "Lange et al. 1989": "K. L. Lange, R. J. A. Little, J. M. G. Taylor, Robust statistical modeling using "
     "the t distribution, J. Am. Stat. Assoc. 84:881, 1989.",
     "MacKinnon and White 1985": "J. G. MacKinnon, H. White, Some heteroskedasticity-consistent covariance "
@@ -82,8 +83,9 @@ def _describe_search(diagnosis: Diagnosis) -> str:
         f"{pluralize(n_causes, 'cause')} and with unstructured alternatives by Bayes factors under a g-prior "
         "(Zellner 1986), averaged over shape parameters that do not exist under the null hypothesis (Davies "
         "1987). The p-value is that of the whole search: a wild bootstrap flips the signs of "
-        "leverage-adjusted residuals (MacKinnon and White 1985; Horowitz 2019) and repeats the search in "
-        f"each sample, at a false-alarm rate of {format_percent(diagnosis.alpha)} (seed {diagnosis.seed}): "
+        "leverage-adjusted, winsorized residuals (Huber 1964; MacKinnon and White 1985; Horowitz 2019) and "
+        f"repeats the search in each sample, at a false-alarm rate of {format_percent(diagnosis.alpha)} "
+        f"(seed {diagnosis.seed}): "
         f"p {format_p_value(diagnosis.p_value, relation=True)}."
     )
 
