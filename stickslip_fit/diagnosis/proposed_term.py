@@ -146,9 +146,9 @@ def _find_term(
         return None
     along = dictionary.along(misfit.residual[:, None])[..., 0]
     squares = along**2 / dictionary.squares
-    worth = squares - FACTOR_COST * dictionary.n_factors
+    criterion = squares - FACTOR_COST * dictionary.n_factors
     # Of expressions that are the same in all rows, one of what the likeliest smooth function follows.
-    same = [(int(k), int(m)) for k, m in np.argwhere(worth >= worth.max() - EQUAL * squares.max())]
+    same = [(int(k), int(m)) for k, m in np.argwhere(criterion >= criterion.max() - EQUAL * squares.max())]
     follow = (one for one in same if {*dictionary.make(*one, 1.0)[0].carriers} == {*carriers})
     place, best = next(follow, same[0])
     left = remove_structure(misfit.residual, misfit.hypotheses, misfit.log_evidence).residual
