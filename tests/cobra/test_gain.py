@@ -15,8 +15,6 @@ EVERY = [
     for joint in JOINTS
     for cut in (1, 2)
 ]
-# Where it falls short: at the end of the travel, where the session has no other traverse.
-BEYOND = {("31", "phi", 2): 1.2}
 
 
 @pytest.mark.nightly
@@ -32,5 +30,5 @@ def test_a_profile_is_learned_from_traverses_that_never_repeat():
 @pytest.mark.parametrize(("number", "joint", "cut"), EVERY)
 def test_every_motor_is_predicted_as_well_as_by_a_spline(number, joint, cut):
     line = compare(number, joint, cut)
-    assert line.extended < BEYOND.get((number, joint, cut), ALLOWED) * line.spline, line
+    assert line.extended < ALLOWED * line.spline, line
     assert not line.silent, line
