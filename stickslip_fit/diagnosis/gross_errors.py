@@ -212,9 +212,7 @@ def _have_company(z: Array, rows: IntArray, problem: DiagnosisProblem) -> BoolAr
     """Whether most of a row's neighbours in time, or of its replicates, depart as it does."""
     session = problem.rows["session"].astype(object).factorize()[0]
     group = unique_rows(np.column_stack([session, problem.noise_group]))[1]
-    cell = np.unique(
-        np.column_stack([problem.configuration, problem.noise_group]), axis=0, return_inverse=True
-    )[1].ravel()
+    cell = unique_rows(np.column_stack([problem.configuration, problem.noise_group]))[1]
     in_time, replicates = split_positions(group), split_positions(cell)
     company = np.zeros(len(rows), dtype=bool)
     for k, row in enumerate(rows):
