@@ -32,6 +32,7 @@ from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.laws import Laws, StepLaw, choose_laws, describe_law
 from stickslip_fit.laws.physical import Physical
 from stickslip_fit.logs import Log
+from stickslip_fit.logs.history import DEPARTURES
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
 
@@ -235,6 +236,9 @@ class Diagnosis(Summarized):
             if finding.traverses is not None:
                 log = log.exclude(usable[finding.traverses.index])
         causes = [finding.version for finding in self.findings if finding.version is not None]
+        columns = [name for name in DEPARTURES if name in problem.rows]
+        known = problem.rows[columns].set_axis(np.delete(usable, self.selection.outliers))
+        log = replace(log, rows=log.rows.assign(**{name: known[name] for name in columns}))
         laws = {part.law.joint: part.law for part in problem.parts}
         ratio = noise[log.rows.index[log.rows["status"] == "ok"]].to_numpy() if noise.nunique() > 1 else None
         return fit_least_squares(log, laws=laws, causes=causes, noise_ratio=ratio, command=command)

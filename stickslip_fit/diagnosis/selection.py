@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.cause_set import CauseSet, form_cause_set
 from stickslip_fit.diagnosis.combinations import (
     PAIR_MIN_LOG_BAYES_FACTOR,
@@ -203,10 +204,15 @@ def select_causes(
         if following.cause == UNKNOWN:
             chosen[-1] = replace(following, ahead_of_pairs=ahead_of_pairs)
             chosen = propose_term(searched, chosen, problem.expressions, rng)
-            if chosen[-1].version is None or _is_large(chosen[-1].version, len(problem)):
+            is_memory = isinstance(chosen[-1].version, CarryOverTerm)
+            if chosen[-1].version is None or is_memory or _is_large(chosen[-1].version, len(problem)):
                 chosen = give_way(chosen, searched, last)
             if chosen[-1].version is None:
                 selected = chosen
+                break
+            if is_memory and chosen[-1].cause == UNKNOWN:
+                # The tests that would follow are for independent noise.
+                selected, (problem, fit, linearized) = chosen, extend_problem(problem, chosen)
                 break
         ends = chosen[-1].cause == UNKNOWN and _is_large(chosen[-1].version, len(problem))
         extension = refits.extensions.get(chosen[-1].cause) or extend_problem(problem, chosen)

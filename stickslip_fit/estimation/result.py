@@ -27,8 +27,9 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes import ExtendedLaw, describe
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.noise import Flag, NoiseLevel, t_quantile
-from stickslip_fit.laws import StepLaw, traverse_length
+from stickslip_fit.laws import StepLaw, expected_steps, traverse_length
 from stickslip_fit.logs import Log
+from stickslip_fit.logs.history import DEPARTURES, follow_departures
 from stickslip_fit.logs.log import CHANGED
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import UNITS, from_si
@@ -297,6 +298,29 @@ class Result(Summarized):
         return convert_predictions(self.si.predict(rows), rows, self.machine)
 
     def _predict(self, rows: pd.DataFrame) -> pd.DataFrame:
+        needed = {name for fit in self.joints.values() for name in fit.law.columns} & {*DEPARTURES}
+        if "steps" not in rows or needed <= {*rows.columns}:
+            return self._predict_each(rows)
+
+        def depart(rows: pd.DataFrame) -> Array:
+            """As far as it is not the parameters' error; 0 of a traverse without a usable count."""
+            steps = expected_steps(rows["steps"], rows["check_every"] if "check_every" in rows else 1)
+            is_usable = rows["status"] == "ok" if "status" in rows else np.isfinite(steps)
+            predicted = self._predict_each(rows)
+            noise, error = self._noise_of(rows) ** 2, predicted["relative_error"].fillna(np.inf) ** 2
+            departure = (predicted["steps"] / steps - 1.0) / (1.0 + error / noise)
+            return np.where(is_usable & (noise > 0), departure, 0.0)
+
+        return self._predict_each(follow_departures(rows, depart))
+
+    def _noise_of(self, rows: pd.DataFrame) -> Array:
+        """Repeatability of each row's joint and direction, relative, shape (n,)."""
+        known = {
+            (k, way): one.value for k, fit in self.joints.items() for way, one in fit.repeatability.items()
+        }
+        return np.array([known[key] for key in zip(rows["joint"], rows["direction"], strict=True)])
+
+    def _predict_each(self, rows: pd.DataFrame) -> pd.DataFrame:
         tables = [self._predict_joint(k, rows[rows["joint"] == k]) for k in rows["joint"].unique()]
         if not tables:
             return pd.DataFrame(columns=list(PREDICTION_COLUMNS), dtype=float)
