@@ -158,6 +158,7 @@ def describe_proposal(finding: Finding) -> str:
     ]
     what = ", ".join([f"a term is proposed: {finding.term}", *sizes])
     if finding.carrier.startswith("memory"):
+        steps = f"{steps[0].lower()}{steps[1:]}"
         return f"What {steps} depart by {describe_carrier(finding.carrier)}; {what}; {worth}"
     return f"{steps} follow something that no known cause describes; {what}; {worth}"
 

@@ -191,11 +191,8 @@ def _covariance(selection: Selection, slopes: Array, inverse: Array) -> Array:
             continue
         if one.version is None:
             slopes = memory.correlate(slopes)
-        elif isinstance(one.version, CarryOverTerm):
-            # The noise is that of the innovations, which is what the term's own size is estimated from.
-            own, place = slopes, selection.place_of(one.version)
-            slopes = memory.correlate(own) / np.sqrt(1.0 - memory.coefficient**2)
-            slopes[:, place] = own[:, place]
+        elif isinstance(one.version, CarryOverTerm):  # beside which the noise is that of the innovations
+            slopes = memory.correlate(slopes) / np.sqrt(1.0 - memory.coefficient**2)
     return np.asarray(inverse @ (slopes.T @ slopes + np.diag(1.0 / selection.fit.prior_sd**2)) @ inverse)
 
 

@@ -304,7 +304,7 @@ class Result(Summarized):
 
         def depart(rows: pd.DataFrame) -> Array:
             """As far as it is not the parameters' error; 0 of a traverse without a usable count."""
-            steps = expected_steps(rows["steps"], rows["check_every"] if "check_every" in rows else 1)
+            steps = expected_steps(rows["steps"], rows.get("check_every", 1))
             is_usable = rows["status"] == "ok" if "status" in rows else np.isfinite(steps)
             predicted = self._predict_each(rows)
             noise, error = self._noise_of(rows) ** 2, predicted["relative_error"].fillna(np.inf) ** 2
