@@ -27,7 +27,7 @@ from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
 from stickslip_fit.errors import InputError, check_workers
 from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation._optimize import usable_rows
-from stickslip_fit.estimation.result import AxesArray, convert_table
+from stickslip_fit.estimation.result import AxesArray, build_provenance, convert_table
 from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.laws import Laws, StepLaw, choose_laws, describe_law
 from stickslip_fit.laws.physical import Physical
@@ -237,11 +237,12 @@ class Diagnosis(Summarized):
                 log = log.exclude(usable[finding.traverses.index])
         causes = [finding.version for finding in self.findings if finding.version is not None]
         columns = [name for name in DEPARTURES if name in problem.rows]
-        known = problem.rows[columns].set_axis(np.delete(usable, self.selection.outliers))
-        log = replace(log, rows=log.rows.assign(**{name: known[name] for name in columns}))
+        departures = problem.rows[columns].set_axis(np.delete(usable, self.selection.outliers))
+        fitted = replace(log, rows=log.rows.join(departures)) if columns else log
         laws = {part.law.joint: part.law for part in problem.parts}
         ratio = noise[log.rows.index[log.rows["status"] == "ok"]].to_numpy() if noise.nunique() > 1 else None
-        return fit_least_squares(log, laws=laws, causes=causes, noise_ratio=ratio, command=command)
+        result = fit_least_squares(fitted, laws=laws, causes=causes, noise_ratio=ratio, command=command)
+        return replace(result, provenance=build_provenance(log, command))
 
     def corrected_log(self) -> Log:
         """The log with the fitted effect of what extends the law taken out of its counts.

@@ -90,6 +90,7 @@ AxesArray = npt.NDArray[np.object_]  # of a figure, panel by panel
 PREDICTION_COLUMNS = ("steps", "step_size", "relative_error", "low", "high")
 SHOWN_PREDICTION_COLUMNS = ("calibration", "steps", "low", "high", "step_size", "unit", "error_pct")
 PARAMETER_NUMBERS = ("estimate", "standard_error", "low", "high")
+OUTLYING_SD = 6.0  # standard deviations by which an outlying count is off
 ALL_JOINTS = 0  # in place of a joint, for what concerns all of them
 
 
@@ -281,7 +282,9 @@ class Result(Summarized):
         Parameters
         ----------
         rows : DataFrame
-            A log's columns; steps are not needed.
+            A log's columns. Steps are not needed; a law in which something carries over from the traverse before
+            predicts each traverse from those of the traverses before it, and expects nothing to carry over where
+            there are none.
 
         Returns
         -------
@@ -303,13 +306,17 @@ class Result(Summarized):
             return self._predict_each(rows)
 
         def depart(rows: pd.DataFrame) -> Array:
-            """As far as it is not the parameters' error; 0 of a traverse without a usable count."""
+            """As far as it is not the parameters' error; 0 of a traverse without a usable count.
+
+            A count that is far off says nothing of the step size.
+            """
             steps = expected_steps(rows["steps"], rows.get("check_every", 1))
             is_usable = rows["status"] == "ok" if "status" in rows else np.isfinite(steps)
             predicted = self._predict_each(rows)
             noise, error = self._noise_of(rows) ** 2, predicted["relative_error"].fillna(np.inf) ** 2
-            departure = (predicted["steps"] / steps - 1.0) / (1.0 + error / noise)
-            return np.where(is_usable & (noise > 0), departure, 0.0)
+            departure = predicted["steps"] / steps - 1.0
+            is_usable &= (noise > 0) & (departure**2 < OUTLYING_SD**2 * (noise + error))
+            return np.where(is_usable, departure / (1.0 + error / noise), 0.0)
 
         return self._predict_each(follow_departures(rows, depart))
 

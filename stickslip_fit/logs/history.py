@@ -107,9 +107,9 @@ def add_departures(rows: pd.DataFrame, departures: Array) -> pd.DataFrame:
         if not {"session_seconds", pause} <= {*rows.columns}:
             columns[name] = known
             continue
-        session, seconds = pd.factorize(rows["session"].astype(object))[0], rows["session_seconds"]
-        joint = rows["joint"].to_numpy() if name == "joint_departure_before" else 0
-        before, at = previous_rows(100 * session + joint), seconds.to_numpy(float)
+        chain = ["session"] if pause == "pause" else ["session", "joint"]
+        before = previous_rows(rows.groupby(chain, observed=True).ngroup().to_numpy(np.int64))
+        at = rows["session_seconds"].to_numpy(float)
         is_before = np.abs(at - at[before] - rows[pause].to_numpy(float)) < CLOSE_IN_TIME
         columns[name] = np.where((before >= 0) & is_before, departures[before], known)
     return rows.assign(**columns)
