@@ -282,9 +282,9 @@ class Result(Summarized):
         Parameters
         ----------
         rows : DataFrame
-            A log's columns. Steps are not needed; a law in which something carries over from the traverse before
-            predicts each traverse from those of the traverses before it, and expects nothing to carry over where
-            there are none.
+            A log's columns. Steps are not needed; a law in which something carries over from the traverse
+            before predicts each traverse from those of the traverses before it, and expects nothing to carry
+            over where there are none.
 
         Returns
         -------
