@@ -236,9 +236,10 @@ class Diagnosis(Summarized):
             if finding.traverses is not None:
                 log = log.exclude(usable[finding.traverses.index])
         causes = [finding.version for finding in self.findings if finding.version is not None]
-        columns = [name for name in DEPARTURES if name in problem.rows]
-        departures = problem.rows[columns].set_axis(np.delete(usable, self.selection.outliers))
-        fitted = replace(log, rows=log.rows.join(departures)) if columns else log
+        fitted = log
+        if columns := [name for cause in causes for name in cause.columns if name in DEPARTURES]:
+            departures = problem.rows[columns].set_axis(np.delete(usable, self.selection.outliers))
+            fitted = replace(log, rows=log.rows.join(departures))
         laws = {part.law.joint: part.law for part in problem.parts}
         ratio = noise[log.rows.index[log.rows["status"] == "ok"]].to_numpy() if noise.nunique() > 1 else None
         result = fit_least_squares(fitted, laws=laws, causes=causes, noise_ratio=ratio, command=command)
