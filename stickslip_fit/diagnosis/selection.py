@@ -50,12 +50,13 @@ from stickslip_fit.diagnosis.hypotheses import (
     FiniteEffects,
     compute_finite_effects,
 )
-from stickslip_fit.diagnosis.influence import OUTLYING_SD, assess_support
+from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, remove_structure
 from stickslip_fit.diagnosis.noise import explains_more, find_outliers, find_runs
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
+from stickslip_fit.estimation.result import OUTLYING_SD
 
 MAX_CAUSES = 4
 # Of functions of sessions, and rows for each of them: beside more, too little is left to tell causes by.
