@@ -2,7 +2,7 @@
 
 Order: estimate the noise, test for outlying counts, then test the residuals and add the best cause
 until the p-value is above its share of the false-alarm rate, or structure without a name was selected for
-which there is no law, or one with many parameters of each session. Each cause is selected again with all
+which there is no law, one of what carries over, or one with many parameters of each session. Each cause is selected again with all
 others in the law, and at the end dropped if the law does as well without it. The p-value of the search is the
 smaller of those of outliers and misfit, each divided by its share of the rate (`misfit`). A cause set holds
 every cause with a log Bayes factor above -3 relative to the best. Causes whose largest plausible effect would
@@ -205,13 +205,13 @@ def select_causes(
         if following.cause == UNKNOWN:
             chosen[-1] = replace(following, ahead_of_pairs=ahead_of_pairs)
             chosen = propose_term(searched, chosen, problem.expressions, rng)
-            is_memory = isinstance(chosen[-1].version, CarryOverTerm)
-            if chosen[-1].version is None or is_memory or _is_large(chosen[-1].version, len(problem)):
+            version = chosen[-1].version
+            if version is None or isinstance(version, CarryOverTerm) or _is_large(version, len(problem)):
                 chosen = give_way(chosen, searched, last)
             if chosen[-1].version is None:
                 selected = chosen
                 break
-            if is_memory and chosen[-1].cause == UNKNOWN:
+            if isinstance(chosen[-1].version, CarryOverTerm):
                 # The tests that would follow are for independent noise.
                 selected, (problem, fit, linearized) = chosen, extend_problem(problem, chosen)
                 break

@@ -101,7 +101,7 @@ def drive_through(
     laws : iterable of StepLaw
         Those of `count_steps`.
     """
-    passes = MAX_PASSES if any(uses_history(law) for law in laws) else 1
+    passes = MAX_PASSES if any(uses_history(law) or follows_departures(law) for law in laws) else 1
     rows_with_history = rows.assign(**INITIAL_HISTORY)
     for _ in range(passes):
         steps = count_steps(rows_with_history)
@@ -115,7 +115,7 @@ def drive_through(
 
 def uses_history(law: StepLaw) -> bool:
     """Whether a law's counts depend on time or history."""
-    return not INITIAL_HISTORY.keys().isdisjoint(law.columns) or follows_departures(law)
+    return not INITIAL_HISTORY.keys().isdisjoint(law.columns)
 
 
 def follows_departures(law: StepLaw) -> bool:
