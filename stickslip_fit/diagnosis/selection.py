@@ -1,12 +1,12 @@
 """select_causes: forward selection of causes, and the set of causes that the data cannot separate.
 
-Order: estimate the noise, test for outlying counts, then test the residuals and add the best cause
-until the p-value is above its share of the false-alarm rate, or structure without a name was selected for
-which there is no law, one of what carries over, or one with many parameters of each session. Each cause is selected again with all
-others in the law, and at the end dropped if the law does as well without it. The p-value of the search is the
-smaller of those of outliers and misfit, each divided by its share of the rate (`misfit`). A cause set holds
-every cause with a log Bayes factor above -3 relative to the best. Causes whose largest plausible effect would
-not be detectable are untestable; logs with few traverses are not tested.
+Order: estimate the noise, test for outlying counts, then test the residuals and add the best cause until the
+p-value is above its share of the false-alarm rate, or structure without a name was selected for which there
+is no law, one of what carries over, or one with many parameters of each session. Each cause is selected
+again with all others in the law, and at the end dropped if the law does as well without it. The p-value of
+the search is the smaller of those of outliers and misfit, each divided by its share of the rate (`misfit`).
+A cause set holds every cause with a log Bayes factor above -3 relative to the best. Causes whose largest
+plausible effect would not be detectable are untestable; logs with few traverses are not tested.
 """
 
 from __future__ import annotations
