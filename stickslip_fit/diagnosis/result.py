@@ -27,11 +27,12 @@ from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
 from stickslip_fit.errors import InputError, check_workers
 from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation._optimize import usable_rows
-from stickslip_fit.estimation.result import AxesArray, convert_table
+from stickslip_fit.estimation.result import AxesArray, build_provenance, convert_table
 from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.laws import Laws, StepLaw, choose_laws, describe_law
 from stickslip_fit.laws.physical import Physical
 from stickslip_fit.logs import Log
+from stickslip_fit.logs.history import DEPARTURES
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
 
@@ -235,9 +236,14 @@ class Diagnosis(Summarized):
             if finding.traverses is not None:
                 log = log.exclude(usable[finding.traverses.index])
         causes = [finding.version for finding in self.findings if finding.version is not None]
+        fitted = log
+        if columns := [name for cause in causes for name in cause.columns if name in DEPARTURES]:
+            departures = problem.rows[columns].set_axis(np.delete(usable, self.selection.outliers))
+            fitted = replace(log, rows=log.rows.join(departures))
         laws = {part.law.joint: part.law for part in problem.parts}
         ratio = noise[log.rows.index[log.rows["status"] == "ok"]].to_numpy() if noise.nunique() > 1 else None
-        return fit_least_squares(log, laws=laws, causes=causes, noise_ratio=ratio, command=command)
+        result = fit_least_squares(fitted, laws=laws, causes=causes, noise_ratio=ratio, command=command)
+        return replace(result, provenance=build_provenance(log, command))
 
     def corrected_log(self) -> Log:
         """The log with the fitted effect of what extends the law taken out of its counts.

@@ -1,12 +1,12 @@
 """select_causes: forward selection of causes, and the set of causes that the data cannot separate.
 
-Order: estimate the noise, test for outlying counts, then test the residuals and add the best cause
-until the p-value is above its share of the false-alarm rate, or structure without a name was selected for
-which there is no law, or one with many parameters of each session. Each cause is selected again with all
-others in the law, and at the end dropped if the law does as well without it. The p-value of the search is the
-smaller of those of outliers and misfit, each divided by its share of the rate (`misfit`). A cause set holds
-every cause with a log Bayes factor above -3 relative to the best. Causes whose largest plausible effect would
-not be detectable are untestable; logs with few traverses are not tested.
+Order: estimate the noise, test for outlying counts, then test the residuals and add the best cause until the
+p-value is above its share of the false-alarm rate, or structure without a name was selected for which there
+is no law, one of what carries over, or one with many parameters of each session. Each cause is selected
+again with all others in the law, and at the end dropped if the law does as well without it. The p-value of
+the search is the smaller of those of outliers and misfit, each divided by its share of the rate (`misfit`).
+A cause set holds every cause with a log Bayes factor above -3 relative to the best. Causes whose largest
+plausible effect would not be detectable are untestable; logs with few traverses are not tested.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.cause_set import CauseSet, form_cause_set
 from stickslip_fit.diagnosis.combinations import (
     PAIR_MIN_LOG_BAYES_FACTOR,
@@ -50,12 +51,13 @@ from stickslip_fit.diagnosis.hypotheses import (
     FiniteEffects,
     compute_finite_effects,
 )
-from stickslip_fit.diagnosis.influence import OUTLYING_SD, assess_support
+from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, remove_structure
 from stickslip_fit.diagnosis.noise import explains_more, find_outliers, find_runs
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
+from stickslip_fit.estimation.result import OUTLYING_SD
 
 MAX_CAUSES = 4
 # Of functions of sessions, and rows for each of them: beside more, too little is left to tell causes by.
@@ -204,10 +206,15 @@ def select_causes(
         if following.cause == UNKNOWN:
             chosen[-1] = replace(following, ahead_of_pairs=ahead_of_pairs)
             chosen = propose_term(searched, chosen, problem.expressions, rng)
-            if chosen[-1].version is None or _is_large(chosen[-1].version, len(problem)):
+            version = chosen[-1].version
+            if version is None or isinstance(version, CarryOverTerm) or _is_large(version, len(problem)):
                 chosen = give_way(chosen, searched, last)
             if chosen[-1].version is None:
                 selected = chosen
+                break
+            if isinstance(chosen[-1].version, CarryOverTerm):
+                # The tests that would follow are for independent noise.
+                selected, (problem, fit, linearized) = chosen, extend_problem(problem, chosen)
                 break
         ends = chosen[-1].cause == UNKNOWN and _is_large(chosen[-1].version, len(problem))
         extension = refits.extensions.get(chosen[-1].cause) or extend_problem(problem, chosen)
