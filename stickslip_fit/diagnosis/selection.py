@@ -62,6 +62,7 @@ MAX_OWN_PARAMETERS, ROWS_PER_PARAMETER = 24, 6
 # Bootstrap samples above the statistic, after which a test ends: where a diagnosis's p-value is below its
 # share of the rate, at most 22 lie above, so that no decision depends on the rest.
 MAX_EXCEEDANCES = 50
+NO_ROWS: IntArray = np.zeros(0, dtype=np.intp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +101,7 @@ class Selection:
     fit: ExtendedFit
     linearized: LinearizedFit
     failed: tuple[str, ...] = ()
-    influential: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    influential: IntArray = field(default_factory=NO_ROWS.copy)
 
     @property
     def law_causes(self) -> list[SelectedCause]:
@@ -131,20 +132,42 @@ def select_causes(
     alpha: float,
     n_bootstrap: int,
     rng: np.random.Generator,
-    trusted: IntArray | None = None,
+    trusted: IntArray = NO_ROWS,
 ) -> Selection:
     """Select the causes that a log shows, at a false-alarm rate `alpha` of the whole search.
 
     `n_bootstrap` is the number of samples of noise alone for each test. Rows that are `trusted` are no
     outliers.
     """
-    every, trusted = problem, np.zeros(0, dtype=np.intp) if trusted is None else trusted
     effects = compute_finite_effects(problem.linearize(), problem.causes)
-    problem, linearized, residual = _reestimate_noise(problem, effects)
+    noise = _reestimate_noise(problem, effects)
+    while True:
+        selection = _select(noise, effects, alpha, n_bootstrap, rng, trusted)
+        # Beside an effect far above the noise, of which the test knows the linear part alone, rows look
+        # outlying that the law with its cause explains.
+        explained = explain_outliers(selection, problem, selection.outliers)
+        if not len(explained):
+            return selection
+        trusted = np.union1d(trusted, explained)
+
+
+def _select(
+    noise: tuple[DiagnosisProblem, LinearizedFit, Array],
+    effects: list[FiniteEffects],
+    alpha: float,
+    n_bootstrap: int,
+    rng: np.random.Generator,
+    trusted: IntArray,
+) -> Selection:
+    """As `select_causes`, from the first estimate of the noise.
+
+    `effects`, of `noise`, are cleared unless there are outliers, with which it may be called again.
+    """
+    problem, linearized, residual = noise
     test = find_outliers(linearized, residual, problem.noise_group, n_bootstrap, rng)
     beside = np.column_stack([residual, linearized.residual])
     alone = test.rows[~find_runs(test.rows, problem.smooth_columns, beside)]
-    outlying, outliers = np.setdiff1d(alone, trusted), np.zeros(0, dtype=np.intp)
+    outlying, outliers = np.setdiff1d(alone, trusted), NO_ROWS
     # Rows that are trusted are no evidence that anything is wrong.
     outlier_p_value = min(1.0, test.p_value / OUTLIER_ALPHA_SHARE) if len(outlying) else 1.0
     misfires: list[SelectedCause] = []
@@ -157,12 +180,12 @@ def select_causes(
     first = last = assess_residuals(
         linearized, problem, n_bootstrap, rng, max_exceedances=MAX_EXCEEDANCES, effects=effects
     )
-    del effects  # of the baseline's laws; as large as all hypotheses
+    effects.clear()  # as large as all hypotheses
     p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     fit, level = problem.fit_extended(), allocate_alpha(alpha)
     selected: list[SelectedCause] = []
     combinations: list[tuple[str, ...]] = []
-    influential, failed = outliers[:0], set[str]()
+    influential, failed = NO_ROWS, set[str]()
 
     def assess(extension: Extension, selected: Sequence[SelectedCause]) -> Misfit:
         searched, names = absorb_unknown(extension, selected), name_explained(selected)
@@ -247,12 +270,7 @@ def select_causes(
     selected = name_combinations(selected, combinations)
     everything = (*misfires, *selected)
     results = first, last, p_value, fit, linearized
-    selection = Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
-    # Beside an effect far above the noise, of which the test knows the linear part alone, rows look outlying
-    # that the law with its cause explains.
-    if len(explained := explain_outliers(selection, every, outliers)):
-        return select_causes(every, alpha, n_bootstrap, rng, np.union1d(trusted, explained))
-    return selection
+    return Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
 
 
 def _is_large(version: Any, n: int) -> bool:
@@ -378,7 +396,7 @@ def empty_selection(problem: DiagnosisProblem) -> Selection:
     misfit = Misfit(np.zeros(0), (), np.zeros(0), {}, 1.0, np.zeros(0))
     return Selection(
         problem,
-        np.zeros(0, dtype=np.intp),
+        NO_ROWS,
         (),
         misfit,
         misfit,
