@@ -62,6 +62,7 @@ MAX_OWN_PARAMETERS, ROWS_PER_PARAMETER = 24, 6
 # Bootstrap samples above the statistic, after which a test ends: where a diagnosis's p-value is below its
 # share of the rate, at most 22 lie above, so that no decision depends on the rest.
 MAX_EXCEEDANCES = 50
+MIN_EVIDENCE_SHARE = 0.5  # of a cause's evidence, without which another cannot take its place
 NO_ROWS: IntArray = np.zeros(0, dtype=np.intp)
 
 
@@ -273,6 +274,36 @@ def _select(
     return Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
 
 
+def widen_selection(selection: Selection, causes: Sequence[Any], alpha: float) -> Selection | None:
+    """The selection as one from more causes; None where one of these could have been selected.
+
+    Beside the one selected cause they would be found in what it leaves. In its place they would need its
+    evidence, of which a refit changes less than half. With several causes each may make room for others.
+    """
+    problem, last, baseline = selection.problem, selection.last_misfit, selection.problem.linearize()
+    names = {one.cause for one in selection.law_causes}
+    if len(selection.law_causes) != 1 or UNKNOWN in names:
+        return None
+    known = {one.name for one in problem.causes}
+    more = [one for one in causes if one.name not in known]
+    searched = absorb_unknown((problem, selection.fit, selection.linearized), selection.selected)
+    beside = add_candidates(last.hypotheses, searched, compute_finite_effects(searched, more))
+    either = [one for one in causes if one.name not in known - names]
+    alone = add_candidates((), baseline, compute_finite_effects(baseline, either)).log_evidence_by_cause
+    most = max((value for name, value in alone.items() if name not in known), default=-np.inf)
+    left = max((beside.log_evidence_by_cause.get(one.name, -np.inf) for one in more), default=-np.inf)
+    enough = MIN_EVIDENCE_SHARE * max(alone.get(name, -np.inf) for name in names)
+    if not (most < enough and left < last.critical_value(allocate_alpha(alpha))):
+        return None
+    last = replace(
+        last,
+        hypotheses=beside.hypotheses,
+        log_evidence=beside.log_evidence,
+        log_evidence_by_cause=beside.log_evidence_by_cause,
+    )
+    return replace(selection, problem=replace(problem, causes=tuple(causes)), last_misfit=last)
+
+
 def _is_large(version: Any, n: int) -> bool:
     """Whether a law for structure without a name has so many parameters of sessions that a search ends."""
     most = min(MAX_OWN_PARAMETERS, n // ROWS_PER_PARAMETER)
@@ -353,7 +384,7 @@ def _reestimate_noise(
         if effects is not None and (finer := compute_finer_effects(linearized, misfit)):
             # A row at a sudden change would be an outlier by the nearest candidate moment.
             effects += finer
-            misfit = add_candidates(misfit, linearized, finer)
+            misfit = add_candidates(misfit.hypotheses, linearized, finer)
         left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
         if explains_more(linearized, left.log_evidence):
             left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
