@@ -27,6 +27,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     split_sessions,
 )
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
     Misfit,
@@ -282,11 +283,12 @@ def compute_evidence(
     return assess_residuals(linearized, problem, 0, np.random.default_rng(0), without, effects=effects)
 
 
-def add_candidates(misfit: Misfit, linearized: LinearizedFit, effects: Sequence[FiniteEffects]) -> Misfit:
-    """The evidence of `compute_evidence` with more effects of causes; no p-value."""
-    more = build_candidates(linearized, effects).hypotheses
-    hypotheses = drop_single_rows([*misfit.hypotheses, *more])
-    return compute_misfit(linearized, hypotheses, 0, np.random.default_rng(0))
+def add_candidates(
+    hypotheses: Sequence[Hypothesis | AR1], linearized: LinearizedFit, effects: Sequence[FiniteEffects]
+) -> Misfit:
+    """The evidence of some hypotheses, and of more effects of causes; no p-value."""
+    every = drop_single_rows([*hypotheses, *build_candidates(linearized, effects).hypotheses])
+    return compute_misfit(linearized, every, 0, np.random.default_rng(0))
 
 
 def compute_finer_effects(linearized: LinearizedFit, misfit: Misfit) -> list[FiniteEffects]:

@@ -65,6 +65,8 @@ MAX_OWN_PARAMETERS, ROWS_PER_PARAMETER = 24, 6
 # Bootstrap samples above the statistic, after which a test ends: where a diagnosis's p-value is below its
 # share of the rate, at most 22 lie above, so that no decision depends on the rest.
 MAX_EXCEEDANCES = 50
+MIN_EVIDENCE_SHARE = 0.5  # of a cause's evidence, without which another cannot take its place
+NO_ROWS: IntArray = np.zeros(0, dtype=np.intp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +105,7 @@ class Selection:
     fit: ExtendedFit
     linearized: LinearizedFit
     failed: tuple[str, ...] = ()
-    influential: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    influential: IntArray = field(default_factory=NO_ROWS.copy)
 
     @property
     def law_causes(self) -> list[SelectedCause]:
@@ -134,20 +136,42 @@ def select_causes(
     alpha: float,
     n_bootstrap: int,
     rng: np.random.Generator,
-    trusted: IntArray | None = None,
+    trusted: IntArray = NO_ROWS,
 ) -> Selection:
     """Select the causes that a log shows, at a false-alarm rate `alpha` of the whole search.
 
     `n_bootstrap` is the number of samples of noise alone for each test. Rows that are `trusted` are no
     outliers.
     """
-    every, trusted = problem, np.zeros(0, dtype=np.intp) if trusted is None else trusted
     effects = compute_finite_effects(problem.linearize(), problem.causes)
-    problem, linearized, residual = _reestimate_noise(problem, effects)
+    noise = _reestimate_noise(problem, effects)
+    while True:
+        selection = _select(noise, effects, alpha, n_bootstrap, rng, trusted)
+        # Beside an effect far above the noise, of which the test knows the linear part alone, rows look
+        # outlying that the law with its cause explains.
+        explained = explain_outliers(selection, problem, selection.outliers)
+        if not len(explained):
+            return selection
+        trusted = np.union1d(trusted, explained)
+
+
+def _select(
+    noise: tuple[DiagnosisProblem, LinearizedFit, Array],
+    effects: list[FiniteEffects],
+    alpha: float,
+    n_bootstrap: int,
+    rng: np.random.Generator,
+    trusted: IntArray,
+) -> Selection:
+    """As `select_causes`, from the first estimate of the noise.
+
+    `effects`, of `noise`, are cleared unless there are outliers, with which it may be called again.
+    """
+    problem, linearized, residual = noise
     test = find_outliers(linearized, residual, problem.noise_group, n_bootstrap, rng)
     beside = np.column_stack([residual, linearized.residual])
     alone = test.rows[~find_runs(test.rows, problem.smooth_columns, beside)]
-    outlying, outliers = np.setdiff1d(alone, trusted), np.zeros(0, dtype=np.intp)
+    outlying, outliers = np.setdiff1d(alone, trusted), NO_ROWS
     # Rows that are trusted are no evidence that anything is wrong.
     outlier_p_value = min(1.0, test.p_value / OUTLIER_ALPHA_SHARE) if len(outlying) else 1.0
     misfires: list[SelectedCause] = []
@@ -160,12 +184,12 @@ def select_causes(
     first = last = assess_residuals(
         linearized, problem, n_bootstrap, rng, max_exceedances=MAX_EXCEEDANCES, effects=effects
     )
-    del effects  # of the baseline's laws; as large as all hypotheses
+    effects.clear()  # as large as all hypotheses
     p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     fit, level = problem.fit_extended(), allocate_alpha(alpha)
     selected: list[SelectedCause] = []
     combinations: list[tuple[str, ...]] = []
-    influential, failed = outliers[:0], set[str]()
+    influential, failed = NO_ROWS, set[str]()
 
     def assess(extension: Extension, selected: Sequence[SelectedCause]) -> Misfit:
         searched, names = absorb_unknown(extension, selected), name_explained(selected)
@@ -255,12 +279,37 @@ def select_causes(
     selected = name_combinations(selected, combinations)
     everything = (*misfires, *selected)
     results = first, last, p_value, fit, linearized
-    selection = Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
-    # Beside an effect far above the noise, of which the test knows the linear part alone, rows look outlying
-    # that the law with its cause explains.
-    if len(explained := explain_outliers(selection, every, outliers)):
-        return select_causes(every, alpha, n_bootstrap, rng, np.union1d(trusted, explained))
-    return selection
+    return Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
+
+
+def widen_selection(selection: Selection, causes: Sequence[Any], alpha: float) -> Selection | None:
+    """The selection as one from more causes; None where one of these could have been selected.
+
+    Beside the one selected cause they would be found in what it leaves. In its place they would need its
+    evidence, of which a refit changes less than half. With several causes each may make room for others.
+    """
+    problem, last, baseline = selection.problem, selection.last_misfit, selection.problem.linearize()
+    names = {one.cause for one in selection.law_causes}
+    if len(selection.law_causes) != 1 or UNKNOWN in names:
+        return None
+    known = {one.name for one in problem.causes}
+    more = [one for one in causes if one.name not in known]
+    searched = absorb_unknown((problem, selection.fit, selection.linearized), selection.selected)
+    beside = add_candidates(last.hypotheses, searched, compute_finite_effects(searched, more))
+    either = [one for one in causes if one.name not in known - names]
+    alone = add_candidates((), baseline, compute_finite_effects(baseline, either)).log_evidence_by_cause
+    most = max((value for name, value in alone.items() if name not in known), default=-np.inf)
+    left = max((beside.log_evidence_by_cause.get(one.name, -np.inf) for one in more), default=-np.inf)
+    enough = MIN_EVIDENCE_SHARE * max(alone.get(name, -np.inf) for name in names)
+    if not (most < enough and left < last.critical_value(allocate_alpha(alpha))):
+        return None
+    last = replace(
+        last,
+        hypotheses=beside.hypotheses,
+        log_evidence=beside.log_evidence,
+        log_evidence_by_cause=beside.log_evidence_by_cause,
+    )
+    return replace(selection, problem=replace(problem, causes=tuple(causes)), last_misfit=last)
 
 
 def _is_large(version: Any, n: int) -> bool:
@@ -347,7 +396,7 @@ def _reestimate_noise(
         if effects is not None and (finer := compute_finer_effects(linearized, misfit)):
             # A row at a sudden change would be an outlier by the nearest candidate moment.
             effects += finer
-            misfit = add_candidates(misfit, linearized, finer)
+            misfit = add_candidates(misfit.hypotheses, linearized, finer)
         left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
         if explains_more(linearized, left.log_evidence):
             left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
@@ -391,7 +440,7 @@ def empty_selection(problem: DiagnosisProblem) -> Selection:
     misfit = Misfit(np.zeros(0), (), np.zeros(0), {}, 1.0, np.zeros(0))
     return Selection(
         problem,
-        np.zeros(0, dtype=np.intp),
+        NO_ROWS,
         (),
         misfit,
         misfit,
