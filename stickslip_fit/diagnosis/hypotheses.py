@@ -30,6 +30,7 @@ from stickslip_fit.diagnosis.linearized import (
 VARIANCE_TOL = 1e-6  # share of a hypothesis's variance below which a direction is left out
 EFFECT_TOL = 1e-6  # whitened norm; rounding noise of the projection
 ABSORBED = 2.0 * EFFECT_TOL  # whitened; a trial without a hypothesis and with a larger effect has failed
+MAX_COUPLED_SESSIONS = 6  # with more, one has too little of a shared parameter to matter
 MAX_EFFECT = 1e100  # whitened; the squares of larger ones are no numbers
 AT_ONCE = 100  # directions whose rows are put in another order
 MAX_MISSING = 3  # samples in a row, as where a value is set aside, before noise that persists is lost
@@ -358,6 +359,8 @@ def build_per_session_hypotheses(
 
     `n` is the number of rows; `effects`, shape (n, number of names, w), are whitened.
     """
+    if sessions[0].shared_basis.shape[1] and 1 < len(sessions) <= MAX_COUPLED_SESSIONS:
+        return _couple_sessions(names, n, sessions, effects)
     directions, variances = [], []
     for session in sessions:
         flat = session.project(effects[session.rows].reshape(len(session), -1))
@@ -386,6 +389,26 @@ def build_per_session_hypotheses(
         share, length = variance[k][kept[k]] / total[k], float(np.sqrt(total[k]))
         hypotheses.append(Hypothesis(names[k], None, None, n, blocks, share, length))
     return hypotheses
+
+
+def _couple_sessions(
+    names: Sequence[str], n: int, sessions: Sequence[SessionFit], effects: Array
+) -> list[Hypothesis]:
+    """As `build_per_session_hypotheses`, with what all sessions share projected out of all of them together.
+
+    Session by session, what one loses to a shared parameter would count in the others.
+    """
+    shared = np.zeros((n, sessions[0].shared_basis.shape[1]))
+    for session in sessions:
+        shared[session.rows] = session.shared_basis
+    hypotheses = []
+    for k, name in enumerate(names):
+        own = np.zeros((n, len(sessions), effects.shape[2]))
+        for place, session in enumerate(sessions):
+            own[session.rows, place] = session.project(effects[session.rows, k])
+        columns = own.reshape(n, -1)
+        hypotheses.append(make_hypothesis(name, None, None, columns - shared @ (shared.T @ columns)))
+    return [one for one in hypotheses if one is not None]
 
 
 def compute_effects(linearized: LinearizedFit, version: Any, trials: Array) -> Array:
