@@ -118,11 +118,7 @@ def check_assumptions(
     if np.isnan(time).any():
         reason = f"{NO_TIMES}, so that drift cannot be told from an effect"
         return (*shape, *(AssumptionCheck(name, "cannot tell", reason) for name in TIME_CHECKS))
-    return (
-        *shape,
-        _check_drift(values, time, cell),
-        _check_interleaving(time, level, block),
-    )
+    return (*shape, _check_drift(values, time, cell), _check_interleaving(time, level, block))
 
 
 TIME_CHECKS = ("drift within a session", "levels in turn")

@@ -27,13 +27,7 @@ from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes import Cause, CauseParameter, Covariate, ExtendedLaw, library
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Base, Elbow, Parameter, Prismatic, StepLaw
-from stickslip_fit.laws.physical import (
-    Physical,
-    PhysicalBase,
-    PhysicalElbow,
-    PhysicalPrismatic,
-    Ratios,
-)
+from stickslip_fit.laws.physical import Physical, PhysicalBase, PhysicalElbow, PhysicalPrismatic, Ratios
 from stickslip_fit.logs.plan_reader import JOINT, Joint
 from stickslip_fit.logs.reader import DIRECTIONS
 from stickslip_fit.logs.schema import COVARIATE_PREFIX

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stickslip_fit.anova.factor_test import (
-    ASSUMPTION_LEVEL,
-    brown_forsythe,
-    check_assumptions,
-    monte_carlo_p,
-)
+from stickslip_fit.anova.factor_test import ASSUMPTION_LEVEL, brown_forsythe, check_assumptions, monte_carlo_p
 
 LOGS = 100
 

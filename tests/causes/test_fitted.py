@@ -64,8 +64,7 @@ def causes_of(result: Result) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize(
-    ("name", "truth"),
-    [("thermal-warm-up.A", A), ("thermal-warm-up.tau", TAU), ("end-stop-latency.L", LATE)],
+    ("name", "truth"), [("thermal-warm-up.A", A), ("thermal-warm-up.tau", TAU), ("end-stop-latency.L", LATE)]
 )
 def test_the_causes_are_found_at_their_size(name, truth, result):
     row = causes_of(result).loc[name]

@@ -23,12 +23,7 @@ ROOT = Path(__file__).parents[2]
 REFERENCE = ROOT / "data" / "reference" / "campaign.csv"
 MIXED = Table(
     "Sizes of joint_1 & more",
-    (
-        Column("session", text=True),
-        Column("a", "nm", "fit"),
-        Column("range", "%", "fit"),
-        Column("steps"),
-    ),
+    (Column("session", text=True), Column("a", "nm", "fit"), Column("range", "%", "fit"), Column("steps")),
     (("[x] 5 %", "−1,234.5 ± 0.5", "−1.0 to 2.0", "12,150"), ("y", "–", "–", "–")),
     note="50 % of #1",
 )

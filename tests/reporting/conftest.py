@@ -95,11 +95,7 @@ class Fitted:
     @property
     def html(self) -> str:
         page = report(
-            self.log,
-            calibration=self.calibration,
-            fit=self.fit,
-            sections=(),
-            command="stickslip-fit report",
+            self.log, calibration=self.calibration, fit=self.fit, sections=(), command="stickslip-fit report"
         )
         return page.html
 

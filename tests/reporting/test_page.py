@@ -107,9 +107,7 @@ def test_parameters_on_the_page_are_those_of_the_results(whole):
             cells = [
                 cell
                 for line, cell in zip(
-                    whole.page.tables[caption],
-                    whole.page.column(caption, f"{row.name}{unit}"),
-                    strict=True,
+                    whole.page.tables[caption], whole.page.column(caption, f"{row.name}{unit}"), strict=True
                 )
                 if line[:3] == [row.session, row.direction.replace("-", "−"), estimator]
             ]

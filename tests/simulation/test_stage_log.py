@@ -33,13 +33,7 @@ gain_nm_per_V = 30
 flyback_time_ms = 0.005
 rest_time_ms = {rest}
 """
-TYPICAL = {
-    "mass": 5,
-    "contact": "",
-    "voltage": 80,
-    "rest": 1,
-    "drive": "ramp_time_ms = 0.14",
-}
+TYPICAL = {"mass": 5, "contact": "", "voltage": 80, "rest": 1, "drive": "ramp_time_ms = 0.14"}
 JOINT_3 = '[[stage]]\njoint = 3\nfile = "stage.toml"\nb = 0.25\n'
 JOINT_2 = (
     '[[stage]]\njoint = 2\nfile = "stage.toml"\nradius_mm = 5\ninertia = 0.3\nr_q3_0 = 0.1\nr_q3_12 = 0.2\n'

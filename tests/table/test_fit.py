@@ -95,12 +95,7 @@ def test_predictions_are_those_of_others_in_whatever_order_and_cover_new_values(
     predicted = fit.predict(new.drop(columns="F"))
     expected = by_others.get_prediction(design(new, extended=False)).summary_frame()
     assert list(predicted.index) == list(new.index)
-    names = {
-        "predicted": "mean",
-        "standard_error": "mean_se",
-        "low": "obs_ci_lower",
-        "high": "obs_ci_upper",
-    }
+    names = {"predicted": "mean", "standard_error": "mean_se", "low": "obs_ci_lower", "high": "obs_ci_upper"}
     for name, other in names.items():
         assert predicted[name].to_numpy() == pytest.approx(expected[other].to_numpy(), rel=1e-6), name
     assert 0.9 < np.mean((predicted["low"] < new["F"]) & (new["F"] < predicted["high"])) < 0.99

@@ -8,12 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 import stickslip_fit as ssf
-from stickslip_fit.causes.table_terms import (
-    PREDICTION,
-    PeriodicTableTerm,
-    ProposedTableTerm,
-    SmoothTableTerm,
-)
+from stickslip_fit.causes.table_terms import PREDICTION, PeriodicTableTerm, ProposedTableTerm, SmoothTableTerm
 
 
 def bent(seed, bend, n=120, sd=0.5):

@@ -8,17 +8,7 @@ from importlib import import_module
 
 import pytest
 
-from tests.thesis.published import (
-    DERIVED,
-    PRINTED,
-    ROOT,
-    TEXT,
-    places,
-    plain,
-    printed_forms,
-    read,
-    text_at,
-)
+from tests.thesis.published import DERIVED, PRINTED, ROOT, TEXT, places, plain, printed_forms, read, text_at
 
 PLACES = places()
 needs_text = pytest.mark.skipif(not TEXT.exists(), reason="the thesis's text is not part of the project")
