@@ -11,7 +11,6 @@ import json
 from argparse import ArgumentParser
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
@@ -19,8 +18,7 @@ from joblib import Parallel, delayed
 
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.estimation import fit_least_squares
-from stickslip_fit.logs import Log, read_log
-from tests.hidden.generate import Hidden
+from tests.hidden.gain_study import read
 from tests.hidden.outside import OutsideCase, cases, rms, true_form
 
 STRENGTHS = (12.0, 25.0)
@@ -48,17 +46,10 @@ class Answer:
         return self.found[:1] == (UNKNOWN,)
 
 
-def read_hidden(hidden: Hidden) -> Log:
-    """A hidden log as a user's file."""
-    with TemporaryDirectory() as folder:
-        hidden.write(Path(folder) / "log.csv")
-        return read_log(Path(folder) / "log.csv")
-
-
 def diagnose_case(case: OutsideCase) -> Answer:
     """Diagnose the log of a case, and predict a replicate by the law that follows."""
     hidden, fresh = case.make(), case.make(replicate=1)
-    log, again = read_hidden(hidden), read_hidden(fresh)
+    log, again = read(hidden), read(fresh)
     diagnosis = diagnose(log, seed=case.seed, gain=False)
     first = diagnosis.findings[0] if diagnosis.findings else None
 

@@ -199,3 +199,15 @@ def run(monkeypatch, capsys):
         return int(ended.value.code or 0), printed.out, printed.err
 
     return call
+
+
+@pytest.fixture
+def refused(run):
+    """Run the command line, which has to end with status 2; what it complained."""
+
+    def call(*arguments: object) -> str:
+        status, _, complaint = run(*arguments)
+        assert status == 2
+        return complaint
+
+    return call

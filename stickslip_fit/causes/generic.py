@@ -83,11 +83,6 @@ class GenericCause(TableCause):
         return self.base_phrase + (", oppositely in the two directions" if self.direction else "")
 
     @property
-    def null_values(self) -> tuple[float, ...]:
-        """See `Cause`."""
-        return (0.0,) * len(self.parameters)
-
-    @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
         return (self.size,) * len(self.parameters)

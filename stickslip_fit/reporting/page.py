@@ -153,7 +153,8 @@ def report(
         )
     if comparison is None and "strategies" in sections:
         progress("comparing strategies", 0.7)
-        common = _common_findings(found)
+        # What extends the law alike in all sessions, so that a session's is known from the others.
+        common = [one for one in _extending(found) if not getattr(one.version, "sessions", ())]
         known = [*causes, *(finding.version for finding in common)]
         compared = _try_section(lambda: _compare_strategies(log, laws, known, command))
     progress("fitting and drawing", 0.9)
@@ -230,11 +231,6 @@ class _Results:
 def _extending(found: object) -> list[Finding]:
     """Findings that extend the law."""
     return [one for one in found.findings if one.version] if isinstance(found, Diagnosis) else []
-
-
-def _common_findings(found: object) -> list[Finding]:
-    """Findings that extend the law alike in all sessions, so that a session's are known from the others."""
-    return [one for one in _extending(found) if not getattr(one.version, "sessions", ())]
 
 
 def _render(results: _Results, command: str, *, figures: bool) -> str:

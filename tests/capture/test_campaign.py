@@ -206,12 +206,15 @@ def test_a_joint_whose_stop_is_not_heard_is_driven_once_over_the_whole_way(short
     assert short.joints.against_stop <= row["steps"]
 
 
-def test_a_traverse_whose_stop_is_not_heard_is_asked_about_and_no_stop_is_run_into_again(short):
-    class Deafened(Player):
-        def begin_drive(self, drive):
-            super().begin_drive(drive)
-            self.joints.deaf |= drive.title.startswith("3 of")
+class Deafened(Player):
+    """Whose joints are no longer heard from the third traverse on."""
 
+    def begin_drive(self, drive):
+        super().begin_drive(drive)
+        self.joints.deaf |= drive.title.startswith("3 of")
+
+
+def test_a_traverse_whose_stop_is_not_heard_is_asked_about_and_no_stop_is_run_into_again(short):
     short.player = Deafened(short.joints)
     with pytest.raises(InputError, match="no stop was heard"):
         short.run()
@@ -222,11 +225,6 @@ def test_a_traverse_whose_stop_is_not_heard_is_asked_about_and_no_stop_is_run_in
 
 
 def test_without_a_law_a_drive_is_limited_by_the_readings_before_it(short):
-    class Deafened(Player):
-        def begin_drive(self, drive):
-            super().begin_drive(drive)
-            self.joints.deaf |= drive.title.startswith("3 of")
-
     short.predictor = short.count_predictor = None
     short.player = Deafened(short.joints)
     with pytest.raises(InputError, match="no stop was heard"):

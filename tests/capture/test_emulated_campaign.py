@@ -14,6 +14,7 @@ from stickslip_fit.capture.campaign import Campaign, begin_journal, resume_journ
 from stickslip_fit.capture.emulator.rig import EmulatedOperator, emulate_rig
 from stickslip_fit.capture.operator import OperatorChoice, OperatorReply
 from stickslip_fit.capture.protocols import VirtualClock
+from stickslip_fit.capture.terminal import UnattendedOperator
 from stickslip_fit.capture.traverse import Rig
 from stickslip_fit.laws import observed_count
 from stickslip_fit.logs import read_log
@@ -35,32 +36,8 @@ L = "40 steps"
 """
 
 
-class Willing:
+class Willing(UnattendedOperator):
     """A person who does whatever is asked, and finds everything in order."""
-
-    def show(self, text):
-        pass
-
-    def begin_session(self, label):
-        return OperatorReply()
-
-    def set_up(self, wanted, before):
-        return OperatorReply()
-
-    def bring_joint(self, joint, position):
-        return OperatorReply()
-
-    def begin_drive(self, drive):
-        pass
-
-    def progress(self, drive, steps, detection):
-        pass
-
-    def stop_wanted(self):
-        return False
-
-    def review(self, reading):
-        return OperatorReply()
 
     def handle_failure(self, drive, why):
         pytest.fail(why)
@@ -70,6 +47,7 @@ class Leaving(Willing):
     """Goes to lunch after so many readings."""
 
     def __init__(self, readings):
+        super().__init__()
         self.left = readings
 
     def review(self, reading):

@@ -10,7 +10,6 @@ import pytest
 
 from stickslip_fit.capture.emulator.acoustics import Acoustics
 from stickslip_fit.capture.emulator.rig import EmulatedRig, emulate_rig
-from stickslip_fit.capture.protocols import VirtualClock
 from stickslip_fit.causes import library
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs.plan import Noise
@@ -219,14 +218,6 @@ def test_the_new_dialect_refuses_what_it_cannot_do(command, tmp_path):
     assert rig.emulated_controller.due() is None
 
 
-def test_it_can_speak_unasked(tmp_path):
-    told = []
-    rig = emulate_rig(truth_of(tmp_path))
-    rig.emulated_controller.inform("voltage breakdown")
-    rig.controller(told.append).step(3, 5)
-    assert told == ["voltage breakdown"]
-
-
 def in_band(sound, acoustics):
     """Power of a sound in the band of the stop."""
     spectrum = np.abs(np.fft.rfft(sound)) ** 2
@@ -266,13 +257,6 @@ def test_the_microphone_waits_for_what_it_has_not_heard(tmp_path):
     microphone = rig.microphone(Acoustics())
     assert len(microphone.read(1.0).values) == 48_000
     assert rig.clock.now() == pytest.approx(1.0)
-
-
-def test_a_virtual_clock_is_one_for_all(tmp_path):
-    clock = VirtualClock()
-    rig = emulate_rig(truth_of(tmp_path), clock=clock)
-    rig.controller(pytest.fail).step(3, 100)
-    assert clock.now() == rig.clock.now() == pytest.approx(1.0)
 
 
 def test_noise_needs_no_joint_that_has_none(tmp_path):

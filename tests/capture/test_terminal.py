@@ -120,12 +120,6 @@ def test_a_doubtful_reading_is_answered_in_a_console_window(window, typed, meant
         assert TerminalOperator(keys).review(ODD) == meant
 
 
-def test_an_arrow_is_no_answer_and_no_text(hand):
-    with Keyboard() as keys:
-        hand("\x1b[Cn\x1b[1;5Cloud\x1bOR\ns")  # the first ends in a letter that is a choice
-        assert TerminalOperator(keys).review(ODD) == OperatorReply(OperatorChoice.SKIP, "loud")
-
-
 def test_an_arrow_is_no_answer_and_no_text_in_a_console_window(window):
     with Keyboard() as keys:
         window.typed += ["\xe0", "C", "\x00", "r", "n", "\xe0", "K", "a", "\r", "s"]
@@ -287,10 +281,8 @@ def test_arrows_are_keys_that_nobody_can_type_into_a_note(hand):
         hand("\x1b[A\x1bOD\x1b[6~\x1b[15~w")
         assert keys.take() == UP + LEFT + PAGE_DOWN + SPECIAL + "w"
         assert keys.take() == ""
-        hand("nlo\x1b[Aud\n\n")
-        assert TerminalOperator(keys).review(ODD) == OperatorReply(note="loud")
-        hand("\x1b[Bq")
-        assert TerminalOperator(keys).review(ODD) == OperatorReply(OperatorChoice.QUIT)
+        hand("\x1b[Cnlo\x1b[Au\x1b[1;5Cd\x1bOR\ns")  # the first ends in a letter that is a choice
+        assert TerminalOperator(keys).review(ODD) == OperatorReply(OperatorChoice.SKIP, "loud")
 
 
 def test_arrows_in_a_console_window(window):

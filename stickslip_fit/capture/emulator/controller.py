@@ -133,10 +133,6 @@ class NewDialect(EmulatedController):
 
     terminator = "\r"
 
-    def inform(self, message: str) -> None:
-        """Send an unsolicited message."""
-        self._answer("i", message)
-
     def _execute_at_once(self, command: str) -> bool:
         if command not in ("stop", "stopnack"):
             return False
