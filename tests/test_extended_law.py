@@ -226,14 +226,8 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
     told = diagnosing.save_extended_law(law, Path("named.json"))
     assert told == "law (extended by thermal-warm-up) saved to named.json"
     move = (
-        "plan-move",
-        "named.json",
-        "--at",
-        "0,-90,0",
-        "--joints",
-        "0,-60,6",
-        "--condition",
-        "session_min=30",
+        *("plan-move", "named.json", "--at", "0,-90,0", "--joints", "0,-60,6"),
+        *("--condition", "session_min=30"),
     )
     assert run(*move)[0] == 0
     nothing = Diagnosis.extended_law(

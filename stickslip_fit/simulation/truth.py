@@ -248,20 +248,6 @@ class LawValues:
         return values, shared
 
 
-def parameter_key(parameter: Parameter) -> str:
-    """The TOML key of a parameter: its name with its unit, written once where the name ends in it.
-
-    Examples
-    --------
-    >>> [parameter_key(parameter) for parameter in Prismatic.parameters]
-    ['a_nm', 'b', 'c_nm']
-    >>> [parameter_key(parameter) for parameter in Base.parameters]
-    ['gamma0_reach_0_urad', 'gamma0_urad_per_mm', 'd_reach_0_urad', 'd_urad_per_mm']
-    """
-    (key,) = Quantity((parameter.unit,)).keys(_parameter_stem(parameter))
-    return key
-
-
 def _parameter_stem(parameter: Parameter) -> str:
     return parameter.name.removesuffix("_per_mm")
 

@@ -19,24 +19,8 @@ from tests.capture.played import MACHINE, SHORT, Capture, Player, plan_of
 REPEAT, QUIT = OperatorReply(OperatorChoice.REPEAT), OperatorReply(OperatorChoice.QUIT)
 WARM = OperatorReply(conditions={"temperature": 295.0, "covariate:pressure_hPa": 1013.0})
 VALUES = (
-    None,
-    True,
-    -1,
-    0,
-    1,
-    4,
-    5,
-    10**30,
-    0.5,
-    float("nan"),
-    "",
-    "+",
-    "ok",
-    "x" * 99,
-    [],
-    [1],
-    {},
-    {"a": {}},
+    *(None, True, -1, 0, 1, 4, 5, 10**30, 0.5, float("nan"), "", "+", "ok", "x" * 99),
+    *([], [1], {}, {"a": {}}),
 )
 
 
@@ -86,15 +70,7 @@ def test_what_a_capture_wrote_goes_on(captured):
     capture, events = captured
     names = {event["event"] for event in events}
     assert names >= {
-        "begun",
-        "conditions",
-        "drive",
-        "commanded",
-        "ended",
-        "excluded",
-        "noted",
-        "skipped",
-        "writing",
+        *("begun", "conditions", "drive", "commanded", "ended", "excluded", "noted", "skipped", "writing"),
     }
     assert resume(capture, events)["status"].eq("ok").sum() == 3
 

@@ -6,16 +6,8 @@ import numpy as np
 import pytest
 
 REQUIRED = [
-    "session",
-    "time",
-    "joint",
-    "direction",
-    "steps",
-    "q1_deg",
-    "q2_deg",
-    "q3_mm",
-    "theta_deg",
-    "psi_deg",
+    *("session", "time", "joint", "direction", "steps"),
+    *("q1_deg", "q2_deg", "q3_mm", "theta_deg", "psi_deg"),
 ]
 
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit import cli
 from stickslip_fit._format import NO_BREAK_SPACE
 from stickslip_fit.diagnosis import Diagnosis, Gain, NextTraverse, diagnose
 from stickslip_fit.diagnosis._summary import write_headline
@@ -231,30 +230,14 @@ def test_a_page_of_hardly_anything(drifting, fitted, read_page, rows):
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["stickslip-fit", "diagnose", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        printed = capsys.readouterr()
-        return int(ended.value.code or 0), printed.out, printed.err
-
-    return call
+def run(run):
+    return partial(run, "diagnose")
 
 
 def test_the_verb_answers_and_saves(run, campaign, tmp_path):
     campaign(DATES[:2], SETTINGS, replicates=3).to_csv(tmp_path / "log.csv", index=False)
-    outputs = (
-        "--json",
-        tmp_path / "out.json",
-        "--report",
-        tmp_path / "out.html",
-        "--alpha",
-        0.02,
-        "--seed",
-        3,
-    )
-    status, out, err = run(tmp_path / "log.csv", *outputs)
+    outputs = ("--json", tmp_path / "out.json", "--report", tmp_path / "out.html")
+    status, out, err = run(tmp_path / "log.csv", *outputs, "--alpha", 0.02, "--seed", 3)
     assert (status, err) == (0, "")
     assert out.startswith("Nothing is wrong that this log can show")
     content = json.loads((tmp_path / "out.json").read_text("utf-8"))
@@ -271,17 +254,15 @@ def test_the_same_seed_gives_the_same_answer(run, campaign, tmp_path):
     assert texts[0] == texts[1]
 
 
-def test_what_cannot_be_written_is_refused_before_the_work(run, campaign, tmp_path, monkeypatch):
+def test_what_cannot_be_written_is_refused_before_the_work(refused, campaign, tmp_path, monkeypatch):
     campaign(DATES[:1], SETTINGS).to_csv(tmp_path / "log.csv", index=False)
     monkeypatch.setattr(
         "stickslip_fit.cli.diagnose.diagnose_with_progress", lambda *_: pytest.fail("worked before refusing")
     )
     for option in ("--json", "--report"):
-        status, _, err = run(tmp_path / "log.csv", option, tmp_path / "nowhere" / "out")
-        assert status == 2
-        assert "cannot be written" in err
+        assert "cannot be written" in refused(tmp_path / "log.csv", option, tmp_path / "nowhere" / "out")
     same = tmp_path / "out"
-    assert run(tmp_path / "log.csv", "--json", same, "--report", same)[0] == 2
+    refused(tmp_path / "log.csv", "--json", same, "--report", same)
 
 
 def test_a_log_that_cannot_be_read_leaves_no_file(run, campaign, tmp_path):
