@@ -90,10 +90,13 @@ class Truth:
         return abs(quad(pace, start, stop, epsabs=1e-6, epsrel=1e-11)[0])
 
 
-CALIBRATION = (
+CALIBRATION_3 = (
     {"joint": 3, "q2_deg": -90.0},
     {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
     {"joint": 3, "q2_deg": 0.0},
+)
+CALIBRATION = (
+    *CALIBRATION_3,
     {"joint": 2, "q3_mm": 0.0},
     {"joint": 2, "q3_mm": 12.0},
     {"joint": 2, "q3_mm": 12.0, "theta_deg": -90.0},

@@ -11,6 +11,7 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_closed_form, fit_least_squares
 from stickslip_fit.estimation.noise import StudentT
 from stickslip_fit.logs import read_log
+from tests.conftest import CALIBRATION_3
 
 ESTIMATORS = {
     "closed-form": fit_closed_form,
@@ -20,11 +21,6 @@ ESTIMATORS = {
 }
 NUMBERS = ["estimate", "standard_error", "low", "high"]
 DAYS = ("2012-03-05", "2012-03-06")
-CALIBRATION_3 = (
-    {"joint": 3, "q2_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0},
-)
 CALIBRATION_2 = tuple(
     {"joint": 2, "q3_mm": q3, "theta_deg": theta} for theta in (0.0, -90.0) for q3 in (0.0, 12.0)
 )

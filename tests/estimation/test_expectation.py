@@ -10,12 +10,7 @@ from scipy.stats import binom, ttest_ind
 from stickslip_fit.estimation import fit_closed_form, fit_least_squares
 from stickslip_fit.estimation.prediction import control_chart, format_latest_control, latest_control
 from stickslip_fit.logs import read_log
-
-CALIBRATION = (
-    {"joint": 3, "q2_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0},
-)
+from tests.conftest import CALIBRATION_3
 
 
 def fitted(table: pd.DataFrame, folder):
@@ -29,7 +24,7 @@ def drifting(campaign):
 
     def make(last: float, seed: int = 1) -> pd.DataFrame:
         days = tuple(f"2012-03-{day:02d}" for day in range(1, 11))
-        table = campaign(sessions=days, settings=CALIBRATION)
+        table = campaign(sessions=days, settings=CALIBRATION_3)
         factor = np.exp(0.02 * np.random.default_rng(seed).standard_normal(10))
         factor[-1] *= last
         table["steps"] = (
@@ -68,7 +63,7 @@ def test_the_stated_rate_of_surprises_holds(drifting, tmp_path, campaigns):
 
 def test_three_sessions_are_too_few(campaign, tmp_path):
     days = ("2012-03-01", "2012-03-02", "2012-03-03")
-    found = latest_control(fitted(campaign(sessions=days, settings=CALIBRATION), tmp_path))
+    found = latest_control(fitted(campaign(sessions=days, settings=CALIBRATION_3), tmp_path))
     assert found.empty
     assert "takes 3 earlier ones" in format_latest_control(found)
 

@@ -77,6 +77,12 @@ class Page(HTMLParser):
         return [row[places[which]] for row in self.tables[caption]]
 
 
+def hours_in_session(table: pd.DataFrame) -> pd.Series:
+    """From each session's first traverse on, of a table in a log file's columns."""
+    time = pd.to_datetime(table["time"])
+    return (time - time.groupby(table["session"]).transform("min")).dt.total_seconds() / 3600.0
+
+
 @pytest.fixture(scope="session")
 def read_page() -> type[Page]:
     """The reader, for pages made elsewhere."""

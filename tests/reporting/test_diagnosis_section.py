@@ -26,6 +26,7 @@ from stickslip_fit.plotting.diagnosis import (
 )
 from stickslip_fit.plotting.residuals import draw_finding, draw_residuals_overview
 from stickslip_fit.reporting.diagnosis import diagnosis_page, number_residuals
+from tests.reporting.conftest import hours_in_session
 
 SETTINGS = tuple(
     {"joint": 3, "q2_deg": q2, "theta_deg": theta} for q2 in (-90.0, -45.0, 0.0) for theta in (0.0, -60.0)
@@ -38,9 +39,7 @@ DATES = ("2012-03-05", "2012-03-06", "2012-03-07")
 def drifting(campaign):
     """Three sessions, one with markup in its name, in which steps shrink by 0.3 % an hour."""
     table = campaign(DATES, SETTINGS, replicates=4)
-    time = pd.to_datetime(table["time"])
-    hours = (time - time.groupby(table["session"]).transform("min")).dt.total_seconds() / 3600.0
-    steps = np.round(table["steps"] * (1.0 + 0.003 * hours) / 5.0).astype(int) * 5
+    steps = np.round(table["steps"] * (1.0 + 0.003 * hours_in_session(table)) / 5.0).astype(int) * 5
     return table.assign(
         steps=steps, session=table["session"].replace(dict(zip(DATES, SESSIONS, strict=True)))
     )
@@ -64,19 +63,8 @@ def found(made) -> Diagnosis:
     )
     gain = Gain(0.0216, 0.0041, 0.0027, 0.012, 0.021, sessions)
     traverse = NextTraverse(
-        "new",
-        3,
-        "-",
-        0.0,
-        -np.pi / 4,
-        np.nan,
-        0.0,
-        0.0,
-        np.nan,
-        np.nan,
-        4,
-        ("drift", "thermal-warm-up"),
-        "late",
+        *("new", 3, "-", 0.0, -np.pi / 4, np.nan, 0.0, 0.0, np.nan, np.nan, 4),
+        *(("drift", "thermal-warm-up"), "late"),
     )
     decided = diagnose(made.log, alpha=0.02, gain=False)
     (drift,) = decided.findings
