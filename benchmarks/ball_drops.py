@@ -1,7 +1,5 @@
 """Measured ball drops: drag and the camera's slant, beside a fit of the same by scipy."""
 
-from __future__ import annotations
-
 import resource
 from pathlib import Path
 

@@ -5,8 +5,6 @@ Each contender runs in a process of its own from its imports, compilation includ
 given as PEERS_PYTHON; it needs emcee, arviz, numpyro and nutpie with pymc and numba.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import subprocess

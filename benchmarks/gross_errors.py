@@ -4,8 +4,6 @@ Counts are doubled or halved at a rate, at least one in each log; at the rate 0 
 are.
 """
 
-from __future__ import annotations
-
 from argparse import ArgumentParser
 from collections import Counter
 from pathlib import Path

@@ -4,8 +4,6 @@ Gross errors are 1 % of the counts doubled; `tests.hidden.noise` has the others.
 hidden beside the noise, and its size's interval is compared with the truth.
 """
 
-from __future__ import annotations
-
 from argparse import ArgumentParser
 from collections import Counter
 from pathlib import Path

@@ -5,8 +5,6 @@ law lowers the rms error on a fresh replicate (same campaign, new noise) against
 what the effect's true form saves there, with its size fitted to the same log.
 """
 
-from __future__ import annotations
-
 import json
 from argparse import ArgumentParser
 from dataclasses import asdict, dataclass

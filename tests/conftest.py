@@ -1,7 +1,5 @@
 """A campaign made without the laws' code, so that what fits it is tested and not echoed."""
 
-from __future__ import annotations
-
 import gc
 import os
 import sys

@@ -1,7 +1,5 @@
 """Formulas: what they may hold, that nothing in them is run, and that values and derivatives are right."""
 
-from __future__ import annotations
-
 import pickle
 import string
 import time

@@ -1,7 +1,5 @@
 """The law extended by causes at the command line: fitted, saved, predicted with, moved by, simulated from."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -1,7 +1,5 @@
 """The verb `plan`: after a log, and before any."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Logs of constant steps, made by hand: what a factor does is put in and nothing else."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checks of premises: silent where they hold, loud where they fail, and honest where nothing can be told."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Position as a factor: F and p as statsmodels has them, what is found, and what cannot be asked."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

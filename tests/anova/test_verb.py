@@ -1,7 +1,5 @@
 """`stickslip-fit anova` as a person uses it."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

@@ -4,8 +4,6 @@ Linear drag alone is the best first step, and after it nothing more would be fou
 because the search also asks whether another drag, with another cause beside it, is likelier.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

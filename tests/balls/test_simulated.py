@@ -1,7 +1,5 @@
 """Drops whose truth is known: what is hidden is named, what cannot be told apart is said to be so."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """What is said of counts that are the model's own, and of some that are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sound for tests of the ear."""
 
-from __future__ import annotations
-
 import wave
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A plan gone through at a rig whose truth is known, whatever happens on the way."""
 
-from __future__ import annotations
-
 import math
 import os
 import subprocess

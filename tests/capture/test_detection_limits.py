@@ -1,7 +1,5 @@
 """The limits' chances, by simulation, and the powers that they are made for, by whole sounds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

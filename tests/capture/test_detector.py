@@ -1,7 +1,5 @@
 """Sound in, stops and faults out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A whole campaign at the emulated rig: what the log says is what was hidden, history included."""
 
-from __future__ import annotations
-
 import ast
 from datetime import UTC
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The emulated rig counts what `simulate` counts, and behaves like a controller and a machine."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The emulated rig behind a pseudo-terminal: real bytes, real time, and a cable that can be pulled."""
 
-from __future__ import annotations
-
 import threading
 import time
 

@@ -1,7 +1,5 @@
 """Journals with valid checksums and numbers whose events no capture writes."""
 
-from __future__ import annotations
-
 import copy
 import json
 import random

@@ -1,7 +1,5 @@
 """What was written down survives; what was damaged is never taken for whole."""
 
-from __future__ import annotations
-
 import os
 import sys
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The NanoControl's two dialects, command by command."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import pytest

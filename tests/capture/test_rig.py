@@ -1,7 +1,5 @@
 """A rig in a process of its own, driven over its port and heard by its sound, until it is unplugged."""
 
-from __future__ import annotations
-
 import math
 from contextlib import contextmanager
 from pathlib import Path

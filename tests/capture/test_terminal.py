@@ -1,7 +1,5 @@
 """Keys pressed at a real pseudo-terminal, and what they are taken to mean."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

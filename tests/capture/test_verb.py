@@ -1,7 +1,5 @@
 """The verb, as it is typed, at an emulated rig."""
 
-from __future__ import annotations
-
 import re
 import sys
 from io import StringIO

@@ -1,7 +1,5 @@
 """Every cause as its row of the table says, with values to try: two sizes and signs of each."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import cos, exp, log, pi, sqrt, tanh
 

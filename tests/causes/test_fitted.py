@@ -1,7 +1,5 @@
 """The extended law goes on living: fitted, listed, saved, loaded and predicted with."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass

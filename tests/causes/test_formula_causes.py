@@ -1,7 +1,5 @@
 """Causes as formulas: in tables, against hand-written equations; in logs, against the library's own."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One screen by default, everything with --full, every table as CSV and LaTeX; help with an example."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

@@ -1,7 +1,5 @@
 """No command writes over what it reads, nor writes two things to one file: asked of every command."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Going home, at the emulated rig: the end of a joint's uncertainty, and a row of a log."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """The loop, on joints that step as they are told."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

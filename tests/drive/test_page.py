@@ -1,7 +1,5 @@
 """The page of a drive: who is answered, how long what is held holds, and what is shown."""
 
-from __future__ import annotations
-
 import json
 import socket
 import threading

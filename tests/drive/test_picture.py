@@ -1,7 +1,5 @@
 """The picture of the arm against trigonometry done here, and its ellipse against drawn errors."""
 
-from __future__ import annotations
-
 from itertools import product
 from math import cos, degrees, hypot, pi, radians, sin
 

@@ -1,7 +1,5 @@
 """A drive over a port, by the real clock: an emulated controller in a process of its own, and its plug."""
 
-from __future__ import annotations
-
 import re
 import threading
 import time

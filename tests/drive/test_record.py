@@ -1,7 +1,5 @@
 """What a journal says of a drive that was broken off."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What no estimator can make good numbers of: each says so, by name, and never with a silent NaN."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

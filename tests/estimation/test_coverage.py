@@ -1,7 +1,5 @@
 """Intervals cover what they say: many campaigns that differ in nothing but their noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """P-values of held-out errors are uniform where the law holds, and small where it doesn't."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """The closed form with causes whose sizes are known, beside truth, least squares and its own scatter."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Closed form, least squares and posterior mean on a case where all three are the same number."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

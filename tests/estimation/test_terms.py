@@ -1,7 +1,5 @@
 """Parameters that sessions share, bounds, and a repeatability that is known beforehand."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Machine files of joints alone: what they say, what is refused, and what then needs an arm."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Logs of machines other than the published arm: columns, faults, missing times and orientation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """Published against physical laws, on logs made by friction, by the published laws."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Laws of one's own: each estimator's numbers, messages for bad ones, saving, names, the command line."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

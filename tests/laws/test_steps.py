@@ -1,7 +1,5 @@
 """Steps over a traverse: formulas against literal stepping, quadrature and numerical derivatives."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

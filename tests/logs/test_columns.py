@@ -1,7 +1,5 @@
 """The header: which column is which quantity, and what is said when that can't be known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

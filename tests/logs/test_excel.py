@@ -1,7 +1,5 @@
 """Logs in Excel workbooks: read as they are, and faults told by sheet and cell."""
 
-from __future__ import annotations
-
 from datetime import datetime
 
 import pandas as pd

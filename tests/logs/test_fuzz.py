@@ -1,7 +1,5 @@
 """Anything may come in: out come a true Log or an InputError that names each fault, and nothing else."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io

@@ -1,7 +1,5 @@
 """What a good log becomes: SI, defaults, one Log from one file or many."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import math

@@ -1,7 +1,5 @@
 """Rows that no reader has checked are refused at the log's door, all faults at once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A log that is written and read again is the same log, to the last bit."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """An arm in which no two numbers agree, and the same arm in an independent physics engine."""
 
-from __future__ import annotations
-
 import tomllib
 
 import numpy as np

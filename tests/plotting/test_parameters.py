@@ -1,7 +1,5 @@
 """Control chart, forest and corner: what is drawn, against numbers got another way."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

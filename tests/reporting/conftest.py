@@ -1,7 +1,5 @@
 """Reports of made-up campaigns, and a reader of the page that knows nothing of how it was written."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

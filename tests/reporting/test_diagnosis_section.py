@@ -1,7 +1,5 @@
 """A diagnosis as people see it: page, section, notebook, figures; and the verb that makes them."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Logs and results as a notebook shows them, read the way a browser would."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

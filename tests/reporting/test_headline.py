@@ -1,7 +1,5 @@
 """What a report says first: the diagnosis where there is one, and the accuracy without other reasons."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

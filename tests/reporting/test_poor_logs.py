@@ -1,7 +1,5 @@
 """A log too poor for a law still gets its report, which says what is missing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

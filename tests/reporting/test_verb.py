@@ -1,7 +1,5 @@
 """The verb that writes the whole report."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.conftest import CALIBRATION_3

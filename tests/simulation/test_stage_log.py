@@ -1,7 +1,5 @@
 """Logs of a stage whose quantities change, against steps made one at a time and against hand computations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

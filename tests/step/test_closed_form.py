@@ -1,7 +1,5 @@
 """The closed forms of a step: continuity, symmetry, the printed values of a and c, derivatives."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

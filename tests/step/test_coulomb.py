@@ -1,7 +1,5 @@
 """The event-driven solver against the closed forms, a time-stepped integration, and its own limits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -1,7 +1,5 @@
 """Stages, their files and the command: regimes, sweeps, faults with their lines."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib.resources import files
 

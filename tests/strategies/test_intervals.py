@@ -1,7 +1,5 @@
 """Intervals and verdicts over many simulated logs of joint 3, each of a few sessions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

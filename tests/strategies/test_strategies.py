@@ -1,7 +1,5 @@
 """What each strategy makes of its traverses, beside the estimators of `fit`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

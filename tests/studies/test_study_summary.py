@@ -1,7 +1,5 @@
 """What a study says, draws and saves; the verb from end to end."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

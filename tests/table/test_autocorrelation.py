@@ -1,7 +1,5 @@
 """The noise of a sampled signal: its filter, its estimate, and what it does to a diagnosis."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """Tables in files as spreadsheets, loggers and instruments write them."""
 
-from __future__ import annotations
-
 import pandas as pd
 import pytest
 

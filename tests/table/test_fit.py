@@ -1,7 +1,5 @@
 """A table's law fitted: the estimates and standard errors of others, predictions, and what is saved."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The generic causes: each adds what it says, has exact derivatives, and is there where its columns are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

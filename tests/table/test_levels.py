@@ -1,7 +1,5 @@
 """Columns of texts: offsets and parameters by level, beside statsmodels' analysis of covariance and scipy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """What a table's law lacks without having a name: short terms, smooth functions, strict periods."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """The data files about the thesis: their shape, their places, and the digits in the thesis itself."""
 
-from __future__ import annotations
-
 import re
 import sys
 from importlib import import_module

@@ -1,7 +1,5 @@
 """The thesis's procedures as plans: what is measured in which order, and what comes back from counts."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 
