@@ -167,7 +167,8 @@ def mutate(events, rng):
     return changed
 
 
-def assert_refused_or_read(captured, trials, seed):
+@pytest.mark.parametrize(("trials", "seed"), [(60, 1), pytest.param(3000, 2, marks=pytest.mark.nightly)])
+def test_changed_journals_are_refused_or_read(captured, trials, seed):
     capture, events = captured
     rng, refused = random.Random(seed), 0
     for _ in range(trials):
@@ -186,12 +187,3 @@ def assert_refused_or_read(captured, trials, seed):
     assert refused > 0.6 * trials
     resume(capture, events)
     assert len(read_log(capture.log, machine=MACHINE).rows)
-
-
-def test_changed_journals_are_refused_or_read(captured):
-    assert_refused_or_read(captured, 60, 1)
-
-
-@pytest.mark.nightly
-def test_3000_changed_journals_are_refused_or_read(captured):
-    assert_refused_or_read(captured, 3000, 2)
