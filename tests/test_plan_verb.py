@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.hidden.generate import hide
+from tests.simulation.conftest import LAW
 
 PLAN = """
 name = "three loads"
@@ -24,20 +25,6 @@ q2_deg = 0
 theta_deg = [-90, 0]
 """
 NOISE = "[noise]\nrepeatability_pct = 0.3"
-LAW = """
-[[law]]
-joint = 3
-direction = "+"
-a_nm = 976
-b = 0.3
-c_nm = 438
-[[law]]
-joint = 3
-direction = "-"
-a_nm = 903
-b = 0.3
-c_nm = -405
-"""
 
 
 @pytest.fixture
@@ -77,7 +64,7 @@ def test_a_plan_is_told_what_it_could_show_confuse_and_not_see(run, plan, tmp_pa
 
 def test_a_law_of_ones_own_serves_as_well(run, plan, tmp_path):
     law = tmp_path / "law.toml"
-    law.write_text(LAW, "utf-8")
+    law.write_text(LAW.format(day_to_day=0), "utf-8")
     status, out, _ = run("plan", plan, "--law", law, "--alpha", 0.05)
     assert status == 0
     assert out.startswith("three loads")
