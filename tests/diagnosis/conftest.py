@@ -1,7 +1,5 @@
 """Diagnoses of small campaigns whose truth is known, one of each verdict."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

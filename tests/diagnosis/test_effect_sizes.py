@@ -1,7 +1,5 @@
 """Sizes of a cause and of structure without a name beside it, each of what it alone changes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

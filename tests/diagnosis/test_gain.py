@@ -1,7 +1,5 @@
 """What an extension gains: on rows that took no part, with intervals for a fresh replicate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Searching within the bounds of parameters, whatever sizes are tried, and whatever one trial does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """No cause rests on one or two rows, and none is named that predicts worse."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A test repeated without some rows, by linear algebra: beside the same test of a log that lacks them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

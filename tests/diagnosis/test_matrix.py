@@ -1,7 +1,5 @@
 """What a plan can tell before any data."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

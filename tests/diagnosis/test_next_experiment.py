@@ -1,7 +1,5 @@
 """The traverses that are proposed do decide, and none is proposed where none would."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Noise that is skewed or coarsely rounded is seen where it is clear, and nowhere else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Standard errors of a cause's parameters: those of the fit that was made, under the noise that there is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

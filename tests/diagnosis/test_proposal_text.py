@@ -1,7 +1,5 @@
 """What is said and drawn of structure without a name: what is proposed, what it gains, what tests it."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Unknown structure: recognised wherever it lies, given a law by a short term or a smooth function."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

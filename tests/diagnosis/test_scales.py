@@ -1,7 +1,5 @@
 """The size at which a cause is tried is a guess, and a guess that is ten times off finds it all the same."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

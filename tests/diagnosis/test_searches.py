@@ -1,7 +1,5 @@
 """The searches of a diagnosis: what is told of outliers is that of the search that was made last."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Smooth functions in the law: their fit is that of a Gaussian process, and so is their evidence."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

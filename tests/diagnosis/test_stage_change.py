@@ -1,7 +1,5 @@
 """Which change of the stage a finding stands for: friction's own generator, and the closed form of a step."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

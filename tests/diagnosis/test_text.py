@@ -1,7 +1,5 @@
 """What is said of a diagnosis: the right cause, sizes and cure, and never more than the log shows."""
 
-from __future__ import annotations
-
 import re
 from copy import copy
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Noise that is many times larger somewhere is seen, whatever it follows; noise as assumed is not uneven."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -5,8 +5,6 @@ diagnosed as a user would, and so is its replicate: the same campaign with fresh
 hold the gain that the replicate's diagnosis measures, by a search of its own; either is taken for the log.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable, Iterator

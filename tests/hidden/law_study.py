@@ -3,8 +3,6 @@
 ``python -m tests.hidden.law_study WHAT --logs 20`` prints the rates; benchmarks/README.md quotes them.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Iterator
 from pathlib import Path

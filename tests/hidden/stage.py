@@ -5,8 +5,6 @@ gravity with the distance itself. What changes in a stage - preload, humidity, v
 wear - acts on friction, inertia, throw or time, never on a law's coefficients.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """An effect is hidden in a log, and the diagnosis has to find it; the generator shares no code with it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

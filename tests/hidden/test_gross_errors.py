@@ -1,7 +1,5 @@
 """Gross errors are gross errors: no cause is blamed for them, and no large effect is taken for them."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

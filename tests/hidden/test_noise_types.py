@@ -1,7 +1,5 @@
 """Noise that is not as assumed is called what it is, and no physical cause is blamed for it."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.noise_types import GROSS, NO_CAUSE, TYPES, answer, coverage, findings, make
