@@ -4,8 +4,6 @@ The reference campaign is simulated with a warm-up in it. On the left are the re
 on the right those of the law extended by the cause that `diagnose` names.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 
