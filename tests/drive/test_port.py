@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stickslip_fit.drive.record import resume_record
 from stickslip_fit.drive.session import DriveJob, drive_real
 from stickslip_fit.moves.arm import Z_95
 
@@ -61,8 +62,6 @@ def test_a_script_over_a_port(arm, emulator, tmp_path):
 
 @pytest.mark.nightly
 def test_a_pulled_plug(arm, emulator, tmp_path):
-    from stickslip_fit.drive.record import resume_record
-
     positions = []
 
     def pull():
