@@ -58,28 +58,21 @@ def study(estimator, campaign, folder, sessions, campaigns, seed):
     return np.array([part for part, _ in found]), np.array([part for _, part in found])
 
 
-def assert_covers(parameters, predicted):
+@pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
+@pytest.mark.parametrize(
+    ("sessions", "campaigns", "seed"),
+    [(3, 10, 1), *(pytest.param(sessions, 1000, 2, marks=pytest.mark.nightly) for sessions in (1, 3, 20))],
+)
+def test_intervals_cover(campaign, tmp_path, estimator, sessions, campaigns, seed):
     """Each parameter within the binomial error of the largest of so many; in the mean, also predictions.
 
     A campaign's intervals share its noise, so that the mean's error is the scatter from campaign to campaign.
     """
-    campaigns, count = parameters.shape
+    parameters, predicted = study(estimator, campaign, tmp_path, sessions, campaigns, seed)
     for nominal in (0.95, 0.68):
         share = np.mean(parameters < nominal, axis=0)
         spread = np.sqrt(nominal * (1 - nominal) / campaigns)
-        assert np.abs(share - nominal).max() < norm.ppf(1 - 0.0005 / count) * spread
+        assert np.abs(share - nominal).max() < norm.ppf(1 - 0.0005 / parameters.shape[1]) * spread
         for levels in (parameters, predicted):
             inside = np.mean(levels < nominal, axis=1)
             assert np.mean(inside) == pytest.approx(nominal, abs=4 * np.std(inside) / np.sqrt(campaigns))
-
-
-@pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
-def test_intervals_cover(campaign, tmp_path, estimator):
-    assert_covers(*study(estimator, campaign, tmp_path, sessions=3, campaigns=10, seed=1))
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("sessions", [1, 3, 20])
-@pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
-def test_intervals_cover_over_a_thousand_campaigns(campaign, tmp_path, estimator, sessions):
-    assert_covers(*study(estimator, campaign, tmp_path, sessions, campaigns=1000, seed=2))

@@ -102,16 +102,6 @@ def test_slopes_are_the_derivatives_of_the_counts(name, direction):
         assert np.abs((slopes[:, number] - slope) * scale / counts).max() < 1e-8
 
 
-@each_law
-@each_direction
-def test_the_response_is_the_logarithm_with_its_jacobian(name, direction):
-    law, values = LAWS[name], np.array(VALUES[name][direction])
-    rows = traverses(law, direction)
-    counts, slopes = law.counts(rows, values)
-    np.testing.assert_allclose(law.predict(rows, values), np.log(counts))
-    np.testing.assert_allclose(law.jacobian(rows, values), slopes / counts[:, None])
-
-
 def test_the_quadrature_sees_a_narrow_feature_beside_a_slope_in_another_unit():
     def integrand(owner, x):
         return np.stack([1 + np.exp(-(((x - 0.47) / 0.01) ** 2)), np.full_like(x, 1e6)], axis=-1)

@@ -213,10 +213,6 @@ def test_a_log_draws_every_usable_reading(months):
     assert len(axes.get_xticklabels()) == 7, "14 sessions have no room for all their names"
 
 
-def test_a_posterior_has_the_parameters_of_its_result(posterior):
-    assert posterior.si.parameters.equals(posterior.result.si.parameters)
-
-
 @pytest.fixture(scope="module")
 def factors(months):
     return analyze_variance(months.log)
