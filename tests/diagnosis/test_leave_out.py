@@ -14,11 +14,7 @@ from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.extension import assess_residuals, make_selected
 from stickslip_fit.diagnosis.fold_selection import Refit, prepare_looks
 from stickslip_fit.diagnosis.gain import hold_out_configurations, select_in_fold
-from stickslip_fit.diagnosis.hypotheses import (
-    build_per_session_hypotheses,
-    make_hypothesis,
-    split_sessions,
-)
+from stickslip_fit.diagnosis.hypotheses import build_per_session_hypotheses, make_hypothesis, split_sessions
 from stickslip_fit.diagnosis.leave_out import LeftOut, Look
 from stickslip_fit.diagnosis.memory import AR1, Sequences
 from stickslip_fit.diagnosis.misfit import UNKNOWN

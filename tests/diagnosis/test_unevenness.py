@@ -5,12 +5,7 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.unevenness import (
-    Grouping,
-    Residuals,
-    estimate_unevenness,
-    group_rows,
-)
+from stickslip_fit.diagnosis.unevenness import Grouping, Residuals, estimate_unevenness, group_rows
 
 N, KINDS = 480, 40
 SESSION = np.arange(N) * 4 // N

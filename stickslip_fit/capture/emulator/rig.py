@@ -25,14 +25,7 @@ from stickslip_fit.capture.operator import (
     RigSetting,
     TraverseReading,
 )
-from stickslip_fit.capture.protocols import (
-    STEP_PERIOD,
-    Clock,
-    Controller,
-    Detection,
-    Samples,
-    VirtualClock,
-)
+from stickslip_fit.capture.protocols import STEP_PERIOD, Clock, Controller, Detection, Samples, VirtualClock
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs.plan import Plan
 
