@@ -2,13 +2,12 @@
 
 from datetime import datetime
 
+import openpyxl
 import pandas as pd
 import pytest
 
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log
-
-openpyxl = pytest.importorskip("openpyxl")
 
 
 def as_cell(column: str, text: str):
