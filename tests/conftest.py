@@ -13,6 +13,7 @@ from scipy.integrate import quad
 
 from stickslip_fit import cli
 from stickslip_fit.logs import Log, read_log
+from stickslip_fit.machine import Machine, load_machine
 
 # Tests run side by side as it is: where "as many processes as cores" is the default, that is one.
 os.environ["LOKY_MAX_CPU_COUNT"] = "1"
@@ -167,6 +168,18 @@ def read_table(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Log]:
         path = tmp_path_factory.mktemp("log") / name
         table.to_csv(path, index=False)
         return read_log(path)
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def machine_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str | bytes], Machine]:
+    """A reader of what stands in a machine file."""
+
+    def read(content: str | bytes) -> Machine:
+        path = tmp_path_factory.mktemp("machine") / "mine.toml"
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return load_machine(path)
 
     return read
 
