@@ -16,8 +16,8 @@ from joblib import Parallel, delayed
 
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.estimation import fit_least_squares
-from tests.hidden.gain_study import read
 from tests.hidden.outside import OutsideCase, cases, rms, true_form
+from tests.hidden.reading import read_hidden
 
 STRENGTHS = (12.0, 25.0)
 UNKNOWN = "unknown"
@@ -47,7 +47,7 @@ class Answer:
 def diagnose_case(case: OutsideCase) -> Answer:
     """Diagnose the log of a case, and predict a replicate by the law that follows."""
     hidden, fresh = case.make(), case.make(replicate=1)
-    log, again = read(hidden), read(fresh)
+    log, again = read_hidden(hidden), read_hidden(fresh)
     diagnosis = diagnose(log, seed=case.seed, gain=False)
     first = diagnosis.findings[0] if diagnosis.findings else None
 

@@ -6,8 +6,8 @@ import pytest
 
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.effect_size import size_findings
-from tests.hidden.gain_study import read as read_hidden
 from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
 
 WARM_UP, HIDDEN = "thermal-warm-up", "unknown:product"
 
