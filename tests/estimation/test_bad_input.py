@@ -8,7 +8,6 @@ from stickslip_fit.bayes import fit_bayes
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_closed_form, fit_least_squares
 from stickslip_fit.estimation.noise import StudentT
-from stickslip_fit.logs import read_log
 from tests.conftest import CALIBRATION_3
 
 ESTIMATORS = {
@@ -46,12 +45,11 @@ def method(request):
 
 
 @pytest.fixture
-def fit(method, tmp_path):
+def fit(method, read_table):
     """Fit a table; whatever is not a number is flagged, and every flag has its remark."""
 
     def estimate(table):
-        table.to_csv(tmp_path / "log.csv", index=False)
-        result = ESTIMATORS[method](read_log(tmp_path / "log.csv"))
+        result = ESTIMATORS[method](read_table(table))
         parameters = result.si.parameters
         unknown = parameters[NUMBERS].isna().any(axis=1)
         assert parameters.loc[unknown, "flags"].map(len).all()

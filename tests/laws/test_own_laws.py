@@ -105,7 +105,7 @@ def test_a_constant_step_is_the_mean(log):
     np.testing.assert_allclose(fitted["estimate"].sort_values(), mean.sort_values(), rtol=1e-6)
 
 
-def test_a_sinusoid_along_the_traverse_beside_scipy(campaign, tmp_path, lab):
+def test_a_sinusoid_along_the_traverse_beside_scipy(campaign, read_table, lab):
     cuts = [{"joint": 1, "from_deg": low + 40.0, "to_deg": low} for low in range(-120, 120, 40)]
     table = campaign(("2012-03-05",), tuple(cuts), directions=("+",), replicates=1)
     rng = np.random.default_rng(3)
@@ -116,8 +116,7 @@ def test_a_sinusoid_along_the_traverse_beside_scipy(campaign, tmp_path, lab):
     ends = np.radians(table[["from_deg", "to_deg"]].to_numpy(float))
     counts = steps(97e-6, 0.04, ends) * np.exp(0.003 * rng.standard_normal(len(ends)))
     table = table.assign(steps=np.round(counts).astype(int), check_every=1)
-    table.to_csv(tmp_path / "log.csv", index=False)
-    fitted = ssf.fit(ssf.read_log(tmp_path / "log.csv"), laws={1: lab.Eccentric()})
+    fitted = ssf.fit(read_table(table), laws={1: lab.Eccentric()})
 
     def residual(values):
         return np.log(table["steps"].to_numpy(float)) - np.log(steps(values[0] * 1e-6, values[1], ends))

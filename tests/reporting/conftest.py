@@ -4,13 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from stickslip_fit.estimation import Result, fit_closed_form, fit_constant_step, fit_least_squares
-from stickslip_fit.logs import Log, read_log
+from stickslip_fit.logs import Log
 from stickslip_fit.reporting import report
 
 VOID = {"br", "input", "meta"}
@@ -118,13 +117,11 @@ class Reported(Fitted):
 
 
 @pytest.fixture(scope="session")
-def fitted(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Fitted]:
+def fitted(read_table: Callable[..., Log]) -> Callable[..., Fitted]:
     """Fit a table in a log file's columns."""
 
     def make(table: pd.DataFrame, name: str = "log.csv") -> Fitted:
-        path = Path(tmp_path_factory.mktemp("report")) / name
-        table.to_csv(path, index=False)
-        log = read_log(path)
+        log = read_table(table, name)
         calibration = fit_closed_form(log)
         return Fitted(log, calibration, fit_constant_step(log, calibration), fit_least_squares(log))
 

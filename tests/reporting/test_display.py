@@ -11,7 +11,6 @@ from stickslip_fit.bayes import fit_bayes
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_least_squares
-from stickslip_fit.logs import read_log
 from stickslip_fit.strategies import ClosedForm, ConstantStepStrategy, compare_strategies
 from tests.conftest import CALIBRATION_3
 
@@ -125,11 +124,10 @@ def test_a_hostile_session_name_is_shown_as_it_is_written(campaign, fitted, read
         assert not any(key.startswith("on") for _, attributes in page.elements for key in attributes)
 
 
-def test_a_log_shows_what_was_driven(campaign, read_page, tmp_path):
+def test_a_log_shows_what_was_driven(campaign, read_page, read_table):
     table = campaign(tuple(f"2012-03-{day:02d}" for day in range(1, 15)), CALIBRATION_3)
     table["status"] = ["interrupted"] + ["ok"] * (len(table) - 1)
-    table.to_csv(tmp_path / "log.csv", index=False)
-    log = read_log(tmp_path / "log.csv")
+    log = read_table(table)
     page = read_page(log._repr_html_())
     sessions = page.tables["Sessions and traverses"]
     assert [row[0] for row in sessions] == list(log.sessions[-10:])
