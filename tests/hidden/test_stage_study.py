@@ -1,5 +1,7 @@
 """Rates of what is read of logs made by friction; tests of every run are beside the reading of a stage."""
 
+from __future__ import annotations
+
 from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
