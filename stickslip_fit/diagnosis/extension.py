@@ -26,7 +26,16 @@ from stickslip_fit.diagnosis.hypotheses import (
     split_sessions,
 )
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
-from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, compute_misfit, drop_single_rows
+from stickslip_fit.diagnosis.misfit import (
+    UNKNOWN,
+    Misfit,
+    StructureRemoved,
+    batch_hypotheses,
+    compute_misfit,
+    drop_single_rows,
+    remove_structure,
+)
+from stickslip_fit.diagnosis.noise import NoiseEstimate
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 
 # Share of the false-alarm rate for outlying counts: their p-values are rarely close to it, those of faint
@@ -42,6 +51,7 @@ MIN_FORM_SHARE, MAX_FORMS = 0.003, 8  # of the square of all alternative forms; 
 MAX_SHAPES = 300  # of one kind, whose neighbours resemble each other
 # Of a proposal: singular values of effects of norm 1, and rows for each of them.
 MIN_FORM_LENGTH, ROWS_PER_FORM = 0.03, 6
+MAX_STRUCTURES = 3  # that are removed from residuals before their noise counts as uneven
 MAX_HARMONIC = 12  # of a strict period, near which nothing is another finding
 
 
@@ -149,10 +159,40 @@ def extend_problem(problem: DiagnosisProblem, selected: Sequence[SelectedCause])
         problem, fit = correlated, correlated.fit_extended(versions, fit.values)
     linearized = linearize_with_causes(problem, fit, causes)
     left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
-    problem = problem.with_noise(problem.estimate_noise(linearized, left))
+    noise = problem.estimate_noise(linearized, left)
+    if not set(noise.unevenness.carriers) <= set(problem.uneven):
+        misfit = compute_evidence(linearized, problem, name_explained(causes))
+        noise = explain_unevenness(problem, linearized, misfit, left, noise)
+    problem = problem.with_noise(noise)
     if problem.autocorrelation is not None:  # the noise of a signal changes much once its cause is in the law
         fit = problem.fit_extended(versions, fit.values)
     return problem, fit, linearize_with_causes(problem, fit, causes)
+
+
+def explain_unevenness(
+    problem: DiagnosisProblem,
+    linearized: LinearizedFit,
+    misfit: Misfit,
+    left: StructureRemoved,
+    noise: NoiseEstimate,
+) -> NoiseEstimate:
+    """The noise anew without further structure, as long as that is likelier than noise that is uneven.
+
+    Beside something stronger, a jump in one session would else be a noisy session. `noise` is estimated from
+    what is `left`.
+    """
+    batch = batch_hypotheses(misfit.hypotheses, linearized.df)
+    for _ in range(MAX_STRUCTURES):
+        if not noise.unevenness.carriers or not misfit.hypotheses:
+            break
+        evidence = batch.log_evidence(left.residual[:, None])[:, 0]
+        more = remove_structure(left.residual, misfit.hypotheses, evidence)
+        if more.log_evidence <= noise.unevenness.log_ratio:
+            break
+        leverage, log_evidence = left.leverage + more.leverage, left.log_evidence + more.log_evidence
+        left = StructureRemoved(more.residual, leverage, log_evidence)
+        noise = problem.estimate_noise(linearized, left)
+    return noise
 
 
 def linearize_with_causes(

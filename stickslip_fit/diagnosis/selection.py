@@ -39,6 +39,7 @@ from stickslip_fit.diagnosis.extension import (
     assess_residuals,
     compute_evidence,
     compute_finer_effects,
+    explain_unevenness,
     extend_problem,
     law_causes,
     make_selected,
@@ -340,6 +341,7 @@ def _reestimate_noise(
         if explains_more(linearized, left.log_evidence):
             left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
         noise = problem.estimate_noise(linearized, left)
+        noise = explain_unevenness(problem, linearized, misfit, left, noise)
         problem = problem.with_noise(noise)
         if np.all(noise.unevenness.ratio == 1.0):
             break

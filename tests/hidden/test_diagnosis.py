@@ -117,6 +117,22 @@ def test_two_causes_are_both_found(design, causes, strength):
     assert set(found.found) == set(causes)
 
 
+@pytest.mark.parametrize(
+    ("cause", "seed"),
+    [
+        ("psi-offset", 15),
+        *(
+            pytest.param(cause, seed, marks=pytest.mark.nightly)
+            for cause, seed in (("q2-offset", 7), ("theta-offset", 11), ("theta-offset", 14))
+        ),
+    ],
+)
+def test_a_jump_in_one_session_is_no_uneven_noise_beside_another_cause(cause, seed):
+    hidden = hide("many", (cause, "session-jump"), 14.0, NOISES[seed % 2], seed=seed)
+    found = score(Case("pair", "many", NOISES[seed % 2], 14.0, seed), hidden)
+    assert set(found.found) == {cause, "session-jump"}
+
+
 def test_a_cause_is_found_that_structure_beside_it_would_take_up():
     """Memory of both is likelier than the cause alone, but not than the cause and memory of the rest."""
     hidden = hide("session", ("recoil-axis", "unknown:memory"), 20.0, seed=1)
