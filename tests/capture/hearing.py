@@ -9,6 +9,7 @@ from stickslip_fit.capture.protocols import Samples
 from stickslip_fit.capture.tuning import choose_tuning
 
 STEPS, SECONDS = 5, 0.05
+AT_ZERO = Acoustics(snr_db=0.0)  # over the whole of the 2 kHz
 
 
 def steps(acoustics, checks, pushing, seed, began=0.0):
