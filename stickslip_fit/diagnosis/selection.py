@@ -51,7 +51,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     compute_finite_effects,
 )
 from stickslip_fit.diagnosis.influence import OUTLYING_SD, assess_support
-from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
+from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, remove_structure
 from stickslip_fit.diagnosis.noise import explains_more, find_outliers, find_runs
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
@@ -288,8 +288,12 @@ def explain_outliers(selection: Selection, problem: DiagnosisProblem, outliers: 
     if not selection.law_causes or not len(outliers):
         return outliers[:0]
     departure = predict_departures(selection, problem, outliers)
-    smaller = selection.problem
-    sd = np.sqrt(smaller.repeatability[problem.noise_group[outliers]] ** 2 + problem.rounding[outliers])
+    left = StructureRemoved(selection.linearized.residual, np.zeros(len(selection.problem)))
+    # Of a joint and direction with few rows the repeatability may be far too small.
+    expected = selection.problem.estimate_noise(selection.linearized, left).expected()
+    noise = expected.sd[problem.noise_group[outliers]]
+    free = 1.0 - np.minimum(problem.linearize().leverage[outliers], MAX_LEVERAGE)
+    sd = np.sqrt((noise**2 + problem.rounding[outliers]) / free)  # of predictions by the other rows
     return outliers[(departure != 0) & (np.abs(departure) < OUTLYING_SD * sd)]
 
 
