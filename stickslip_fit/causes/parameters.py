@@ -22,7 +22,7 @@ from stickslip_fit._format import (
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.laws import Parameter, Rows, State, float_column
-from stickslip_fit.logs.history import FURTHER_HISTORY
+from stickslip_fit.logs.history import DEPARTURES, FURTHER_HISTORY
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
 from stickslip_fit.units import Interval, TableUnit
 
@@ -179,7 +179,12 @@ def fill_empty(values: Array, mean: float) -> Array:
 
 
 # A joint's first traverse of a session follows none.
-FIRST_TRAVERSE = {"before_direction": "", "before_load": 0.0, **dict.fromkeys(FURTHER_HISTORY, np.nan)}
+FIRST_TRAVERSE = {
+    "before_direction": "",
+    "before_load": 0.0,
+    **dict.fromkeys(FURTHER_HISTORY, np.nan),
+    **dict.fromkeys(DEPARTURES, 0.0),
+}
 REQUIRED_HISTORY = {
     "session": "the session's name",
     "session_seconds": "the time since the session's first traverse, s",

@@ -2,7 +2,8 @@
 
 A `SmoothTerm` is a smooth function of one carrier, or a product of such functions of two: a position, an
 angle, the load, a column of the log, the traverse before. `carrier_values` says what each carrier is. A
-`ProposedTerm` is one number times a short expression of them, such as k * sin(q1) * load.
+`ProposedTerm` is one number times a short expression of them, such as k * sin(q1) * load; a `CarryOverTerm`
+follows what the step size of the traverse before had beyond its law.
 """
 
 from __future__ import annotations
@@ -375,6 +376,31 @@ class ProposedTerm(LinearFactor):
         if self.on:
             function = function * sum(_acts(state, joint, way) for joint, way in self.on)
         return np.asarray(function[..., None])
+
+
+@dataclass(frozen=True)
+class CarryOverTerm(ProposedTerm):
+    """gamma times 1 + k times the departure of the traverse before from its own prediction.
+
+    That departure is relative, of the step size, and 0 where there is no count before. Since a prediction
+    has what was carried over to it, what it departs by is new: its innovation.
+
+    Attributes
+    ----------
+    factors : tuple of (str, str, float, float)
+        One, "x" of a column of `DEPARTURES`.
+    on : tuple of (int, str)
+        As of a `SmoothTerm`.
+    """
+
+    factors: tuple[tuple[str, str, float, float], ...] = (("x", "departure_before", 0.0, 1.0),)
+
+    name = "carry-over-term"
+    phrase = "steps follow what the traverse before departed by"
+    physics = "Whatever outlasts a traverse: the log alone shows that its departure carries over to the next."
+    shows_best = "one configuration again and again, without a pause"
+    parameters = (CauseParameter("k", "%", "share of the departure before that carries over"),)
+    scale = (1.0,)
 
 
 def describe_where(on: tuple[tuple[int, str], ...], mode: Mode) -> str:

@@ -17,18 +17,22 @@ from stickslip_fit.causes.environment import Covariate
 from stickslip_fit.causes.formula import FormulaCause, restore_formula_cause
 from stickslip_fit.causes.formula_step import STEP_CAUSES, FormulaStepCause
 from stickslip_fit.causes.parameters import CauseParameter
-from stickslip_fit.causes.proposed import PeriodicTerm, ProposedTerm, SmoothTerm, TravelTerm
+from stickslip_fit.causes.proposed import CarryOverTerm, PeriodicTerm, ProposedTerm, SmoothTerm, TravelTerm
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Laws, StepLaw, UnknownLawError, describe_law, restore_law
-from stickslip_fit.logs.history import FURTHER_HISTORY
+from stickslip_fit.logs.history import DEPARTURES, FURTHER_HISTORY
 from stickslip_fit.logs.schema import COVARIATE_PREFIX, NO_TIMES, has_times
 from stickslip_fit.machine import Machine
 
 FAMILIES = (temporal, environment, geometry, load, position, profile)
-HISTORY_COLUMNS = {"session_seconds", "steps_before", "before_direction", "before_load", *FURTHER_HISTORY}
+HISTORY_COLUMNS = {
+    *("session_seconds", "steps_before", "before_direction", "before_load"),
+    *FURTHER_HISTORY,
+    *DEPARTURES,
+}
 ENTRY_POINT = "stickslip_fit.causes"
 PROPOSED: dict[str, Callable[..., Cause]] = {
-    kind.name: kind for kind in (SmoothTerm, TravelTerm, PeriodicTerm, ProposedTerm)
+    kind.name: kind for kind in (SmoothTerm, TravelTerm, PeriodicTerm, ProposedTerm, CarryOverTerm)
 }
 
 

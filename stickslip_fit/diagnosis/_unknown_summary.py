@@ -28,6 +28,7 @@ from stickslip_fit.causes.proposed import PAUSES
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
+from stickslip_fit.logs.history import DEPARTURES
 from stickslip_fit.logs.log import has_replicates
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
 from stickslip_fit.machine import Machine, load_machine, mean_load
@@ -54,6 +55,8 @@ COLUMN_WORDS = {
     "before_length": "the length of the joint's traverse before, as a share of its travel",
     "before_gap": "the distance from where the joint last stopped, as a share of its travel",
     "before_joint": "the joint that moved before",
+    "departure_before": "the departure of the traverse before",
+    "joint_departure_before": "the departure of the joint's traverse before",
     "pause": "the pause since the traverse before",
     "joint_pause": "the pause since the joint's traverse before",
     "session_seconds": "the time in the session",
@@ -154,6 +157,9 @@ def describe_proposal(finding: Finding) -> str:
         for one in finding.parameters
     ]
     what = ", ".join([f"a term is proposed: {finding.term}", *sizes])
+    if finding.carrier.startswith("memory"):
+        steps = f"{steps[0].lower()}{steps[1:]}"
+        return f"What {steps} depart by {describe_carrier(finding.carrier)}; {what}; {worth}"
     return f"{steps} follow something that no known cause describes; {what}; {worth}"
 
 
@@ -231,6 +237,11 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
     carriers: tuple[str, ...] = getattr(finding.version, "carriers", ())
     if diagnosis.table is not None or not carriers:
         return ""
+    if not {*DEPARTURES}.isdisjoint(carriers):
+        return (
+            "To test it, drive one configuration again and again: each traverse should follow what the one "
+            "before departed by. Where that has no count, as in a plan, the law expects no departure."
+        )
     if getattr(finding.version, "common", 0.0):
         gain = diagnosis.gain_new_session
         if gain is not None and gain.extended >= gain.baseline:

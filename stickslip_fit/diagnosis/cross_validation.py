@@ -16,11 +16,9 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.combinations import refine_trial
-from stickslip_fit.diagnosis.extension import (
-    SelectedCause,
-    fit_causes,
-)
+from stickslip_fit.diagnosis.extension import DEPARTURE_PASSES, SelectedCause, fit_causes
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.fold_selection import Looks
 from stickslip_fit.diagnosis.linearized import (
@@ -35,6 +33,7 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.estimation._optimize import Groups, group_rows, minimize
 from stickslip_fit.estimation.closed_form import pick_calibration
+from stickslip_fit.logs.history import DEPARTURES, follow_departures
 from stickslip_fit.machine import Machine
 
 N_FOLDS = 10
@@ -370,14 +369,47 @@ def match_findings(causes: Sequence[SelectedCause], findings: Sequence[Finding])
 def _prediction_errors(
     problem: DiagnosisProblem, split: Split, versions: Sequence[Any], values: Array
 ) -> Array:
-    """Errors on the held-out rows of laws with causes of known size, calibrated by the calibration rows."""
+    """Errors on the held-out rows of laws with causes of known size, calibrated by the calibration rows.
+
+    A traverse is predicted from the counts before it, which are known by then, held out or not.
+    """
+    if any(isinstance(version, CarryOverTerm) for version in versions):
+        known, rows = np.union1d(split.calibration, split.held_out), problem.rows
+        reliability = 1.0 / (1.0 + _calibration_variance(problem.linearize(), split.calibration))
+
+        def depart(rows: pd.DataFrame) -> Array:
+            errors = _compute_errors(replace(problem, rows=rows), split.calibration, known, versions, values)
+            return -reliability * errors
+
+        without = rows.drop(columns=[name for name in DEPARTURES if name in rows])
+        problem = replace(problem, rows=follow_departures(without, depart, DEPARTURE_PASSES))
+    errors = _compute_errors(problem, split.calibration, split.held_out, versions, values)
+    return errors[split.held_out]
+
+
+def _calibration_variance(linearized: LinearizedFit, calibrates: IntArray) -> Array:
+    """Variance of predictions after calibration by some rows, in units of each row's noise, shape (n,)."""
+    block, x = number_blocks(linearized.parts, len(linearized)), _coordinates(linearized)
+    information = np.zeros((int(block.max()) + 1, x.shape[1], x.shape[1]))
+    np.add.at(information, block[calibrates], x[calibrates, :, None] * x[calibrates, None, :])
+    return np.asarray(np.einsum("ni,nij,nj->n", x, np.linalg.pinv(information)[block], x))
+
+
+def _compute_errors(
+    problem: DiagnosisProblem,
+    calibrates: IntArray,
+    predicted: IntArray,
+    versions: Sequence[Any],
+    values: Array,
+) -> Array:
+    """Errors of laws calibrated by some rows on the rows to be predicted, shape (n,); 0 on others."""
     errors = np.zeros(len(problem))
     of_row = number_blocks(problem.parts, len(problem))
     for part in problem.parts:
         law = part.law
         for version in versions:
             law = version.extend(law)
-        calibration, held = np.isin(part.rows, split.calibration), np.isin(part.rows, split.held_out)
+        calibration, held = np.isin(part.rows, calibrates), np.isin(part.rows, predicted)
         if not held.any():
             continue
         block = of_row[part.rows]
@@ -388,7 +420,7 @@ def _prediction_errors(
         rows, at = part.rows[held], np.searchsorted(labels, block[held])
         both = np.concatenate([own[at], np.broadcast_to(values, (len(rows), len(values)))], axis=1)
         errors[rows] = problem.responses[rows] - law.predict(RowSubset(problem.rows, rows), both)
-    return errors[split.held_out]
+    return errors
 
 
 def _calibrate_groups(

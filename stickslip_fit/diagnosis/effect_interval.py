@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import chdtrc, gammaln
 
 from stickslip_fit._typing import Array
+from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
 from stickslip_fit.diagnosis.hypotheses import compute_changes
 from stickslip_fit.diagnosis.linearized import LinearizedFit, RowSubset, linearize_fit
@@ -186,8 +187,12 @@ def _covariance(selection: Selection, slopes: Array, inverse: Array) -> Array:
     """Of parameters estimated by slopes, (n, q), in units of the noise, which memory may correlate."""
     for one in selection.selected:
         memory = one.misfit.best_hypothesis(UNKNOWN) if one.cause == UNKNOWN and one.misfit else None
-        if isinstance(memory, AR1) and one.version is None and memory.sequences.onto is None:
+        if not isinstance(memory, AR1) or memory.sequences.onto is not None:
+            continue
+        if one.version is None:
             slopes = memory.correlate(slopes)
+        elif isinstance(one.version, CarryOverTerm):  # beside which the noise is that of the innovations
+            slopes = memory.correlate(slopes) / np.sqrt(1.0 - memory.coefficient**2)
     return np.asarray(inverse @ (slopes.T @ slopes + np.diag(1.0 / selection.fit.prior_sd**2)) @ inverse)
 
 

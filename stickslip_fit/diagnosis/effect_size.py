@@ -16,7 +16,7 @@ from scipy.special import betaincinv, softmax
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.causes.levels import LevelCause
-from stickslip_fit.causes.proposed import PeriodicTerm
+from stickslip_fit.causes.proposed import CarryOverTerm, PeriodicTerm
 from stickslip_fit.causes.table_terms import PeriodicTableTerm
 from stickslip_fit.diagnosis.effect_interval import (
     QUANTILES_95,
@@ -173,7 +173,8 @@ def _with_law(finding: Finding, selection: Selection, selected: SelectedCause, c
     """A finding of unknown structure with the term or smooth function that extends the law."""
     version, place = selected.version, selection.place_of(selected.version)
     formula = getattr(version, "formula", "")
-    carrier = " and ".join(version.carriers) if formula else finding.carrier
+    is_of_columns = formula and not isinstance(version, CarryOverTerm)
+    carrier = " and ".join(version.carriers) if is_of_columns else finding.carrier
     carrier = str(version) if isinstance(version, PeriodicTerm | PeriodicTableTerm) else carrier
     values = selection.fit.values[place]
     parameters = _size_parameters(version, UNKNOWN, values, covariance[place, place]) if formula else ()

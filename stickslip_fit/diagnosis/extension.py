@@ -11,6 +11,7 @@ import numpy as np
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.friction import StageCause
 from stickslip_fit.causes.periodic import PeriodicTime
+from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.causes.table_terms import PREDICTION
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes
 from stickslip_fit.diagnosis.cause_set import CauseSet
@@ -26,6 +27,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     split_sessions,
 )
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
     Misfit,
@@ -37,6 +39,7 @@ from stickslip_fit.diagnosis.misfit import (
 )
 from stickslip_fit.diagnosis.noise import NoiseEstimate
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
+from stickslip_fit.logs.history import add_departures
 
 # Share of the false-alarm rate for outlying counts: their p-values are rarely close to it, those of faint
 # effects often are.
@@ -52,6 +55,7 @@ MAX_SHAPES = 300  # of one kind, whose neighbours resemble each other
 # Of a proposal: singular values of effects of norm 1, and rows for each of them.
 MIN_FORM_LENGTH, ROWS_PER_FORM = 0.03, 6
 MAX_STRUCTURES = 3  # that are removed from residuals before their noise counts as uneven
+DEPARTURE_PASSES = 6  # of departures and the laws that follow them
 MAX_HARMONIC = 12  # of a strict period, near which nothing is another finding
 
 
@@ -153,7 +157,7 @@ def extend_problem(problem: DiagnosisProblem, selected: Sequence[SelectedCause])
     causes = law_causes(selected)
     start = np.concatenate([np.zeros(0), *(one.start for one in causes)])
     versions = [one.version for one in causes]
-    fit = problem.fit_extended(versions, start)
+    problem, fit = _fit_with_departures(problem, versions, start)
     correlated = problem.with_autocorrelation(fit)
     if correlated is not problem:
         problem, fit = correlated, correlated.fit_extended(versions, fit.values)
@@ -193,6 +197,24 @@ def explain_unevenness(
         left = StructureRemoved(more.residual, leverage, log_evidence)
         noise = problem.estimate_noise(linearized, left)
     return noise
+
+
+def _fit_with_departures(
+    problem: DiagnosisProblem, versions: Sequence[Any], start: Array
+) -> tuple[DiagnosisProblem, ExtendedFit]:
+    """The fit of the laws with causes, and the problem with the departures that these follow, if any do.
+
+    Departures and parameters are estimated in turn, as by extended least squares (L. Ljung, System
+    Identification, 2nd ed., 1999, sect. 10.3).
+    """
+    if not any(isinstance(one, CarryOverTerm) for one in versions):
+        return problem, problem.fit_extended(versions, start)
+    fit = problem.fit_extended()
+    for _ in range(DEPARTURE_PASSES):
+        problem = replace(problem, rows=add_departures(problem.rows, -fit.residual))
+        fit = problem.fit_extended(versions, start)
+        start = fit.values
+    return problem, fit
 
 
 def linearize_with_causes(
@@ -261,11 +283,12 @@ def compute_evidence(
     return assess_residuals(linearized, problem, 0, np.random.default_rng(0), without, effects=effects)
 
 
-def add_candidates(misfit: Misfit, linearized: LinearizedFit, effects: Sequence[FiniteEffects]) -> Misfit:
-    """The evidence of `compute_evidence` with more effects of causes; no p-value."""
-    more = build_candidates(linearized, effects).hypotheses
-    hypotheses = drop_single_rows([*misfit.hypotheses, *more])
-    return compute_misfit(linearized, hypotheses, 0, np.random.default_rng(0))
+def add_candidates(
+    hypotheses: Sequence[Hypothesis | AR1], linearized: LinearizedFit, effects: Sequence[FiniteEffects]
+) -> Misfit:
+    """The evidence of some hypotheses, and of more effects of causes; no p-value."""
+    every = drop_single_rows([*hypotheses, *build_candidates(linearized, effects).hypotheses])
+    return compute_misfit(linearized, every, 0, np.random.default_rng(0))
 
 
 def compute_finer_effects(linearized: LinearizedFit, misfit: Misfit) -> list[FiniteEffects]:

@@ -16,10 +16,10 @@ from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import Misfit, batch_hypotheses
+from stickslip_fit.estimation.result import OUTLYING_SD
 
 MAX_INFLUENTIAL = 2  # rows
 MIN_SHARE_LEFT = 0.2  # of the log Bayes factor, without the influential rows
-OUTLYING_SD = 6.0  # standard deviations by which an outlying count is off
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ orthonormal basis of the calibration and r residuals orthogonal to it, the restr
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,8 +20,9 @@ from scipy.sparse import csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.logs.history import previous_rows
+from stickslip_fit.logs.history import DEPARTURES, previous_rows
 
 AR1_COEFFICIENTS = (-0.3, 0.2, 0.35, 0.5, 0.65, 0.8)
 # Of one direction on the residual before, which may be as far below as above it.
@@ -398,11 +399,14 @@ class AR1:
     sequences : Sequences
     coefficient : float
         The share.
+    term : CarryOverTerm or None
+        With which a law of a log follows it.
     """
 
     cause: str
     sequences: Sequences
     coefficient: float
+    term: CarryOverTerm | None = None
     version: None = None
     values: None = None
 
@@ -464,13 +468,17 @@ def log_memory_evidence(ar1s: Sequence[AR1], residuals: Array, df: int) -> list[
 def memory_alternatives(linearized: LinearizedFit) -> Iterator[AR1]:
     """Memory from traverse to traverse and of each joint, then onto traverses in one direction only."""
     rows, sign = linearized.rows, linearized.direction_sign
-    session = pd.factorize(rows["session"].astype(object))[0]
-    for name, group in (("", session), (" of each joint", 10 * session + rows["joint"].to_numpy())):
+    session, joint = pd.factorize(rows["session"].astype(object))[0], rows["joint"].to_numpy()
+    chains = ("", session), (" of each joint", 10 * session + joint)
+    for column, (name, group) in zip(DEPARTURES, chains, strict=True):
         before = previous_rows(group.astype(np.int64)).astype(np.intp)
         both = Sequences.of(before, linearized.basis)
-        yield from (AR1(f"unknown:memory{name}", both, carried) for carried in AR1_COEFFICIENTS)
+        term = CarryOverTerm((("x", column, 0.0, 1.0),))
+        yield from (AR1(f"unknown:memory{name}", both, carried, term) for carried in AR1_COEFFICIENTS)
         for direction, own in (("+", sign > 0), ("-", sign < 0)):
             # Of each direction's noise its own estimate is known, so that the variances need not agree.
             one_way = Sequences(before, both.calibration, own)
             label = f"unknown:memory-by-direction{name}, {direction} only"
-            yield from (AR1(label, one_way, carried) for carried in LAG_COEFFICIENTS)
+            on = tuple((int(number), direction) for number in np.unique(joint))
+            onto = replace(term, on=on)
+            yield from (AR1(label, one_way, carried, onto) for carried in LAG_COEFFICIENTS)

@@ -27,7 +27,7 @@ prepares the figures.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,9 +56,10 @@ from stickslip_fit.diagnosis.selection import (
     explain_outliers,
     select_causes,
     settle_noise,
+    widen_selection,
 )
 from stickslip_fit.diagnosis.separability import find_aliased_causes
-from stickslip_fit.diagnosis.stage_change import read_stage
+from stickslip_fit.diagnosis.stage_change import choose_laws_anew, read_stage
 from stickslip_fit.diagnosis.testability import NO_TRIALS, explain_too_small, find_untestable, is_log
 from stickslip_fit.errors import check_count, check_rate
 from stickslip_fit.laws import Laws
@@ -70,6 +71,9 @@ BOOTSTRAP_PER_ALARM = 20  # bootstrap samples for each expected false alarm
 OUTLIER_INCLUSION = 0.99
 NOISE_LEFT = 0.7  # of the noise, below which causes that were untestable in it are asked for again
 MAX_INCLUSION_WITHOUT_ALARM = 0.5  # of all causes together, where the misfit is not significant
+
+CheckedProblem = tuple[DiagnosisProblem, Mapping[str, str]]
+"""A problem, and the causes for which the data lack a variable, with the reason."""
 
 
 @one_blas_thread
@@ -111,10 +115,14 @@ def diagnose(
     check_count("seed", seed, least=0)
     progress("fitting the laws", 0.0)
     problem, missing = problem_from_log(log, causes, laws)
-    diagnosis = diagnose_problem(problem, missing, alpha=alpha, seed=seed, progress=progress)
-    if chosen := replace(diagnosis, log=log).choose_laws_anew(laws):
-        problem, missing = problem_from_log(log, causes, chosen)
-        diagnosis = diagnose_problem(problem, missing, alpha=alpha, seed=seed, progress=progress)
+
+    def under_other_laws(selection: Selection) -> CheckedProblem | None:
+        chosen = choose_laws_anew(log, selection, laws)
+        return problem_from_log(log, causes, chosen) if chosen else None
+
+    diagnosis = diagnose_problem(
+        problem, missing, alpha=alpha, seed=seed, progress=progress, replace_problem=under_other_laws
+    )
     diagnosis = replace(diagnosis, log=log, seconds=time.perf_counter() - began)
     if not gain:
         return diagnosis
@@ -130,6 +138,7 @@ def diagnose_problem(
     alpha: float,
     seed: int = 0,
     progress: ProgressCallback = ignore_progress,
+    replace_problem: Callable[[Selection], CheckedProblem | None] = lambda selection: None,
 ) -> Diagnosis:
     """Name what is wrong with any laws, whatever machine they describe.
 
@@ -140,6 +149,9 @@ def diagnose_problem(
         Causes for which the data lack a variable, with the reason.
     alpha, seed, progress
         As of `diagnose`.
+    replace_problem : callable, optional
+        Called with what was selected: another problem in the place of this one, and what is missing in it;
+        None where it stays.
 
     Raises
     ------
@@ -155,8 +167,10 @@ def diagnose_problem(
     next_aside, p_value = gross.rows, max(gross.p_value, 1.0 / (1 + bootstrap_size(alpha)))
     for _ in range(MAX_SEARCHES):
         aside = next_aside  # the rows that the last search was made without, also if it asks for one more
-        search = _search(set_aside(problem, aside), missing, alpha, rng)
-        found = search.selection
+        for search in _search(set_aside(problem, aside), missing, alpha, rng):
+            found = search.selection
+            if other := replace_problem(with_gross_errors(found, len(problem), aside, p_value)):
+                return diagnose_problem(*other, alpha=alpha, seed=seed, progress=progress)
         kept = np.setdiff1d(np.arange(len(problem)), aside)
         if len(found.influential):
             kept = np.delete(kept, found.outliers)
@@ -245,7 +259,8 @@ class _Search:
 
 def _search(
     problem: DiagnosisProblem, missing: Mapping[str, str], alpha: float, rng: np.random.Generator
-) -> _Search:
+) -> Iterator[_Search]:
+    """What is selected; then, if it is searched again in more causes, what is selected of all."""
     linearized = problem.linearize()
     too_small = explain_too_small(linearized)
     if not too_small and problem.autocorrelation is not None:
@@ -263,14 +278,28 @@ def _search(
     selection = (
         empty_selection(testable) if too_small else select_causes(testable, alpha, bootstrap_size(alpha), rng)
     )
-    if shown := _testable_beside(selection, problem, linearized, unable):
-        unable = {cause: reason for cause, reason in unable.items() if cause not in shown}
-        testable = _without(problem, unable)
-        selection = select_causes(testable, alpha, bootstrap_size(alpha), rng)
+    shown = _testable_beside(selection, problem, linearized, unable)
+    wider = _without(problem, unable.keys() - shown)
+    whole = widen_selection(selection, wider.causes, alpha) if shown else selection
+    unable = {cause: reason for cause, reason in unable.items() if cause not in shown}
+    yield _make_search(whole or selection, wider, linearized, missing, unable, too_small)
+    if whole is None:
+        selection = select_causes(wider, alpha, bootstrap_size(alpha), rng)
+        yield _make_search(selection, wider, linearized, missing, unable, too_small)
+
+
+def _make_search(
+    selection: Selection,
+    problem: DiagnosisProblem,
+    linearized: LinearizedFit,
+    missing: Mapping[str, str],
+    unable: Mapping[str, str],
+    too_small: str | None,
+) -> _Search:
     failed = dict.fromkeys(selection.failed, "it could not be fitted: with it the equations have no solution")
     trials = selection.first_misfit.failed
     failed |= {cause: NO_TRIALS for cause, (number, tried) in trials.items() if number == tried}
-    return _Search(selection, testable, linearized, {**missing, **unable, **failed}, too_small)
+    return _Search(selection, problem, linearized, {**missing, **unable, **failed}, too_small)
 
 
 def _without(problem: DiagnosisProblem, names: Iterable[str]) -> DiagnosisProblem:

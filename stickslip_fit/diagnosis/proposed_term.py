@@ -2,8 +2,9 @@
 
 `propose_term` searches a dictionary of short expressions (`expressions`). The best is proposed where it would
 gain nearly as much on a replicate as the best smooth function, and explains more than the best expression of
-noise alone does; otherwise the smooth function takes its place. It is part of `select_causes`, so that each
-fold searches anew.
+noise alone does; otherwise the smooth function takes its place. Where memory is likelier than any function,
+what carries over from the traverse before is proposed. It is part of `select_causes`, so that each fold
+searches anew.
 """
 
 from __future__ import annotations
@@ -59,14 +60,18 @@ def propose_term(
         for evidence, one in zip(misfit.log_evidence, misfit.hypotheses, strict=True)
         if classify_cause(one) == UNKNOWN and one.version is not None
     ]
-    if not smooth:
-        return list(selected)
-    evidence, shape = max(smooth, key=lambda pair: pair[0])
+    evidence, shape = max(smooth, key=lambda pair: pair[0], default=(-np.inf, None))
     memory = [
-        own for own, one in zip(misfit.log_evidence, misfit.hypotheses, strict=True) if isinstance(one, AR1)
+        (float(own), one)
+        for own, one in zip(misfit.log_evidence, misfit.hypotheses, strict=True)
+        if isinstance(one, AR1)
     ]
-    if evidence < max([MIN_STAND_IN_LOG_BAYES_FACTOR, *(own - MEMORY_MARGIN for own in memory)]):
-        return list(selected)
+    to_beat, ar1 = max(memory, key=lambda pair: pair[0], default=(-np.inf, None))
+    if evidence < max(MIN_STAND_IN_LOG_BAYES_FACTOR, to_beat - MEMORY_MARGIN):
+        if ar1 is None or ar1.term is None or to_beat < max(MIN_STAND_IN_LOG_BAYES_FACTOR, evidence):
+            return list(selected)
+        start = np.array([ar1.coefficient])
+        return [*others, replace(unknown, version=ar1.term, start=start, tested=linearized)]
     assert isinstance(shape, Hypothesis)
     term = _find_term(linearized, misfit, expressions(linearized), shape.version.carriers, rng)
     if term is not None and term.expected_gain >= MIN_GAIN_SHARE * _expected_gain(shape, misfit.residual):

@@ -103,12 +103,12 @@ def term_change(selection: Selection, version: Any) -> Array:
     return compute_changes(selection.problem.linearize(), version, values)[:, 0]
 
 
-def remove_effects(log: Log, selection: Selection, outlying: IntArray, causes: Collection[str]) -> Log:
+def remove_effects(log: Log, selection: Selection, causes: Collection[str]) -> Log:
     """The log with counts as they would be without some of the causes of a selection.
 
-    `outlying` are the places, among the log's usable rows, of counts that took no part; they are excluded.
+    Outlying counts are excluded.
     """
-    usable = log.rows.index[log.rows["status"] == "ok"]
+    usable, outlying = log.rows.index[log.rows["status"] == "ok"], selection.outliers
     kept, steps = np.delete(usable, outlying), log.rows["steps"].astype(float)
     changes = [term_change(selection, one.version) for one in selection.law_causes if one.cause in causes]
     change = sum(changes, np.zeros(len(kept)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import astuple, dataclass, replace
 from typing import Any, Literal
 
@@ -21,17 +21,15 @@ from stickslip_fit.diagnosis.gain import measure_gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import remove_effects
 from stickslip_fit.diagnosis.selection import Selection
-from stickslip_fit.diagnosis.stage_change import StageReading, find_courses
+from stickslip_fit.diagnosis.stage_change import StageReading
 from stickslip_fit.diagnosis.table_gain import measure_table_gain
 from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
 from stickslip_fit.errors import InputError, check_workers
 from stickslip_fit.estimation import Result, fit_least_squares
-from stickslip_fit.estimation._optimize import usable_rows
-from stickslip_fit.estimation.result import AxesArray, convert_table
+from stickslip_fit.estimation.result import AxesArray, build_provenance, convert_table
 from stickslip_fit.estimation.table_fit import TableFit
-from stickslip_fit.laws import Laws, StepLaw, choose_laws, describe_law
-from stickslip_fit.laws.physical import Physical
 from stickslip_fit.logs import Log
+from stickslip_fit.logs.history import DEPARTURES
 
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
 
@@ -235,9 +233,14 @@ class Diagnosis(Summarized):
             if finding.traverses is not None:
                 log = log.exclude(usable[finding.traverses.index])
         causes = [finding.version for finding in self.findings if finding.version is not None]
+        fitted = log
+        if columns := [name for cause in causes for name in cause.columns if name in DEPARTURES]:
+            departures = problem.rows[columns].set_axis(np.delete(usable, self.selection.outliers))
+            fitted = replace(log, rows=log.rows.join(departures))
         laws = {part.law.joint: part.law for part in problem.parts}
         ratio = noise[log.rows.index[log.rows["status"] == "ok"]].to_numpy() if noise.nunique() > 1 else None
-        return fit_least_squares(log, laws=laws, causes=causes, noise_ratio=ratio, command=command)
+        result = fit_least_squares(fitted, laws=laws, causes=causes, noise_ratio=ratio, command=command)
+        return replace(result, provenance=build_provenance(log, command))
 
     def corrected_log(self) -> Log:
         """The log with the fitted effect of what extends the law taken out of its counts.
@@ -250,31 +253,8 @@ class Diagnosis(Summarized):
         InputError
             If the data were no log.
         """
-        return self._without([one.cause for one in self.selection.law_causes])
-
-    def _without(self, causes: Collection[str]) -> Log:
-        log = self.require_log()
-        outlying = [row for one in self.findings if one.traverses is not None for row in one.traverses.index]
-        return remove_effects(log, self.selection, np.array(outlying, dtype=int), causes)
-
-    def choose_laws_anew(self, laws: Laws | None) -> Mapping[int, StepLaw] | None:
-        """The laws chosen once more, from counts without what follows time, use or a logged condition.
-
-        Where the log itself chooses a law, as it does lambda of a physical one, such an effect has had a say.
-
-        Returns
-        -------
-        mapping of int to StepLaw or None
-            None where they are the same, or the log leaves those of the diagnosis open.
-        """
-        courses = find_courses(self.selection)
-        if not courses or laws is None:
-            return None
-        log = self._without(list(courses))
-        chosen = choose_laws(usable_rows(log), log.machine, laws)
-        before = {part.law.joint: part.law for part in self.selection.problem.parts}
-        is_same = all(_is_same(law, before[joint]) for joint, law in chosen.items())
-        return None if is_same else chosen
+        causes = [one.cause for one in self.selection.law_causes]
+        return remove_effects(self.require_log(), self.selection, causes)
 
     def methods(self) -> str:
         """How the log was analysed, as a paragraph to cite, with this log's numbers and its references.
@@ -385,21 +365,6 @@ class Diagnosis(Summarized):
         from stickslip_fit.plotting.diagnosis import plot_gain
 
         return collect_axes(plot_gain(self))
-
-
-def _is_same(law: StepLaw, before: StepLaw) -> bool:
-    """Whether a law is no other, but for a lambda that the log leaves open."""
-    if isinstance(law, Physical) and isinstance(before, Physical) and any(law.plausible):
-        return law.allows(before.ratios)
-    return _describe(law) == _describe(before)
-
-
-def _describe(law: StepLaw) -> dict[str, Any]:
-    """What a law is made of; nothing of one that only its own program knows, which chooses no other."""
-    try:
-        return describe_law(law)
-    except InputError:
-        return {}
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,12 @@
 """select_causes: forward selection of causes, and the set of causes that the data cannot separate.
 
-Order: estimate the noise, test for outlying counts, then test the residuals and add the best cause
-until the p-value is above its share of the false-alarm rate, or structure without a name was selected for
-which there is no law, or one with many parameters of each session. Each cause is selected again with all
-others in the law, and at the end dropped if the law does as well without it. The p-value of the search is the
-smaller of those of outliers and misfit, each divided by its share of the rate (`misfit`). A cause set holds
-every cause with a log Bayes factor above -3 relative to the best. Causes whose largest plausible effect would
-not be detectable are untestable; logs with few traverses are not tested.
+Order: estimate the noise, test for outlying counts, then test the residuals and add the best cause until the
+p-value is above its share of the false-alarm rate, or structure without a name was selected for which there
+is no law, one of what carries over, or one with many parameters of each session. Each cause is selected
+again with all others in the law, and at the end dropped if the law does as well without it. The p-value of
+the search is the smaller of those of outliers and misfit, each divided by its share of the rate (`misfit`).
+A cause set holds every cause with a log Bayes factor above -3 relative to the best. Causes whose largest
+plausible effect would not be detectable are untestable; logs with few traverses are not tested.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.cause_set import CauseSet, form_cause_set
 from stickslip_fit.diagnosis.combinations import (
     PAIR_MIN_LOG_BAYES_FACTOR,
@@ -50,12 +51,13 @@ from stickslip_fit.diagnosis.hypotheses import (
     FiniteEffects,
     compute_finite_effects,
 )
-from stickslip_fit.diagnosis.influence import OUTLYING_SD, assess_support
+from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, remove_structure
 from stickslip_fit.diagnosis.noise import explains_more, find_outliers, find_runs
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
+from stickslip_fit.estimation.result import OUTLYING_SD
 
 MAX_CAUSES = 4
 # Of functions of sessions, and rows for each of them: beside more, too little is left to tell causes by.
@@ -63,6 +65,8 @@ MAX_OWN_PARAMETERS, ROWS_PER_PARAMETER = 24, 6
 # Bootstrap samples above the statistic, after which a test ends: where a diagnosis's p-value is below its
 # share of the rate, at most 22 lie above, so that no decision depends on the rest.
 MAX_EXCEEDANCES = 50
+MIN_EVIDENCE_SHARE = 0.5  # of a cause's evidence, without which another cannot take its place
+NO_ROWS: IntArray = np.zeros(0, dtype=np.intp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +105,7 @@ class Selection:
     fit: ExtendedFit
     linearized: LinearizedFit
     failed: tuple[str, ...] = ()
-    influential: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    influential: IntArray = field(default_factory=NO_ROWS.copy)
 
     @property
     def law_causes(self) -> list[SelectedCause]:
@@ -132,20 +136,42 @@ def select_causes(
     alpha: float,
     n_bootstrap: int,
     rng: np.random.Generator,
-    trusted: IntArray | None = None,
+    trusted: IntArray = NO_ROWS,
 ) -> Selection:
     """Select the causes that a log shows, at a false-alarm rate `alpha` of the whole search.
 
     `n_bootstrap` is the number of samples of noise alone for each test. Rows that are `trusted` are no
     outliers.
     """
-    every, trusted = problem, np.zeros(0, dtype=np.intp) if trusted is None else trusted
     effects = compute_finite_effects(problem.linearize(), problem.causes)
-    problem, linearized, residual = _reestimate_noise(problem, effects)
+    noise = _reestimate_noise(problem, effects)
+    while True:
+        selection = _select(noise, effects, alpha, n_bootstrap, rng, trusted)
+        # Beside an effect far above the noise, of which the test knows the linear part alone, rows look
+        # outlying that the law with its cause explains.
+        explained = explain_outliers(selection, problem, selection.outliers)
+        if not len(explained):
+            return selection
+        trusted = np.union1d(trusted, explained)
+
+
+def _select(
+    noise: tuple[DiagnosisProblem, LinearizedFit, Array],
+    effects: list[FiniteEffects],
+    alpha: float,
+    n_bootstrap: int,
+    rng: np.random.Generator,
+    trusted: IntArray,
+) -> Selection:
+    """As `select_causes`, from the first estimate of the noise.
+
+    `effects`, of `noise`, are cleared unless there are outliers, with which it may be called again.
+    """
+    problem, linearized, residual = noise
     test = find_outliers(linearized, residual, problem.noise_group, n_bootstrap, rng)
     beside = np.column_stack([residual, linearized.residual])
     alone = test.rows[~find_runs(test.rows, problem.smooth_columns, beside)]
-    outlying, outliers = np.setdiff1d(alone, trusted), np.zeros(0, dtype=np.intp)
+    outlying, outliers = np.setdiff1d(alone, trusted), NO_ROWS
     # Rows that are trusted are no evidence that anything is wrong.
     outlier_p_value = min(1.0, test.p_value / OUTLIER_ALPHA_SHARE) if len(outlying) else 1.0
     misfires: list[SelectedCause] = []
@@ -158,12 +184,12 @@ def select_causes(
     first = last = assess_residuals(
         linearized, problem, n_bootstrap, rng, max_exceedances=MAX_EXCEEDANCES, effects=effects
     )
-    del effects  # of the baseline's laws; as large as all hypotheses
+    effects.clear()  # as large as all hypotheses
     p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     fit, level = problem.fit_extended(), allocate_alpha(alpha)
     selected: list[SelectedCause] = []
     combinations: list[tuple[str, ...]] = []
-    influential, failed = outliers[:0], set[str]()
+    influential, failed = NO_ROWS, set[str]()
 
     def assess(extension: Extension, selected: Sequence[SelectedCause]) -> Misfit:
         searched, names = absorb_unknown(extension, selected), name_explained(selected)
@@ -204,10 +230,15 @@ def select_causes(
         if following.cause == UNKNOWN:
             chosen[-1] = replace(following, ahead_of_pairs=ahead_of_pairs)
             chosen = propose_term(searched, chosen, problem.expressions, rng)
-            if chosen[-1].version is None or _is_large(chosen[-1].version, len(problem)):
+            version = chosen[-1].version
+            if version is None or isinstance(version, CarryOverTerm) or _is_large(version, len(problem)):
                 chosen = give_way(chosen, searched, last)
             if chosen[-1].version is None:
                 selected = chosen
+                break
+            if isinstance(chosen[-1].version, CarryOverTerm):
+                # The tests that would follow are for independent noise.
+                selected, (problem, fit, linearized) = chosen, extend_problem(problem, chosen)
                 break
         ends = chosen[-1].cause == UNKNOWN and _is_large(chosen[-1].version, len(problem))
         extension = refits.extensions.get(chosen[-1].cause) or extend_problem(problem, chosen)
@@ -248,12 +279,37 @@ def select_causes(
     selected = name_combinations(selected, combinations)
     everything = (*misfires, *selected)
     results = first, last, p_value, fit, linearized
-    selection = Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
-    # Beside an effect far above the noise, of which the test knows the linear part alone, rows look outlying
-    # that the law with its cause explains.
-    if len(explained := explain_outliers(selection, every, outliers)):
-        return select_causes(every, alpha, n_bootstrap, rng, np.union1d(trusted, explained))
-    return selection
+    return Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
+
+
+def widen_selection(selection: Selection, causes: Sequence[Any], alpha: float) -> Selection | None:
+    """The selection as one from more causes; None where one of these could have been selected.
+
+    Beside the one selected cause they would be found in what it leaves. In its place they would need its
+    evidence, of which a refit changes less than half. With several causes each may make room for others.
+    """
+    problem, last, baseline = selection.problem, selection.last_misfit, selection.problem.linearize()
+    names = {one.cause for one in selection.law_causes}
+    if len(selection.law_causes) != 1 or UNKNOWN in names:
+        return None
+    known = {one.name for one in problem.causes}
+    more = [one for one in causes if one.name not in known]
+    searched = absorb_unknown((problem, selection.fit, selection.linearized), selection.selected)
+    beside = add_candidates(last.hypotheses, searched, compute_finite_effects(searched, more))
+    either = [one for one in causes if one.name not in known - names]
+    alone = add_candidates((), baseline, compute_finite_effects(baseline, either)).log_evidence_by_cause
+    most = max((value for name, value in alone.items() if name not in known), default=-np.inf)
+    left = max((beside.log_evidence_by_cause.get(one.name, -np.inf) for one in more), default=-np.inf)
+    enough = MIN_EVIDENCE_SHARE * max(alone.get(name, -np.inf) for name in names)
+    if not (most < enough and left < last.critical_value(allocate_alpha(alpha))):
+        return None
+    last = replace(
+        last,
+        hypotheses=beside.hypotheses,
+        log_evidence=beside.log_evidence,
+        log_evidence_by_cause=beside.log_evidence_by_cause,
+    )
+    return replace(selection, problem=replace(problem, causes=tuple(causes)), last_misfit=last)
 
 
 def _is_large(version: Any, n: int) -> bool:
@@ -340,7 +396,7 @@ def _reestimate_noise(
         if effects is not None and (finer := compute_finer_effects(linearized, misfit)):
             # A row at a sudden change would be an outlier by the nearest candidate moment.
             effects += finer
-            misfit = add_candidates(misfit, linearized, finer)
+            misfit = add_candidates(misfit.hypotheses, linearized, finer)
         left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
         if explains_more(linearized, left.log_evidence):
             left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
@@ -384,7 +440,7 @@ def empty_selection(problem: DiagnosisProblem) -> Selection:
     misfit = Misfit(np.zeros(0), (), np.zeros(0), {}, 1.0, np.zeros(0))
     return Selection(
         problem,
-        np.zeros(0, dtype=np.intp),
+        NO_ROWS,
         (),
         misfit,
         misfit,

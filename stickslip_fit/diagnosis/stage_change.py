@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,11 +29,15 @@ from stickslip_fit.causes.base import Cause, CountCause, FactorCause, StateCause
 from stickslip_fit.causes.load import PayloadChange
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
-from stickslip_fit.diagnosis.residuals import term_change
+from stickslip_fit.diagnosis.residuals import remove_effects, term_change
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.diagnosis.stage_fingerprint import FREE, SINGLE, Fingerprint, fit_changes
+from stickslip_fit.errors import InputError
+from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.estimation.drive_ratio import prior_shares
-from stickslip_fit.laws import state_at
+from stickslip_fit.laws import Laws, StepLaw, choose_laws, describe_law, state_at
+from stickslip_fit.laws.physical import Physical
+from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import Interval
@@ -191,6 +196,39 @@ def find_courses(selection: Selection) -> dict[str, Array]:
         if course is not None and one.cause != UNKNOWN:
             found[one.cause] = course
     return found
+
+
+def choose_laws_anew(log: Log, selection: Selection, laws: Laws | None) -> Mapping[int, StepLaw] | None:
+    """The laws chosen once more, from counts without what follows time, use or a logged condition.
+
+    Where the log itself chooses a law, as it does lambda of a physical one, such an effect has had a say.
+
+    Returns
+    -------
+    mapping of int to StepLaw or None
+        None where they are the same, or the log leaves those of the selection open.
+    """
+    courses = find_courses(selection)
+    if not courses or laws is None:
+        return None
+    chosen = choose_laws(usable_rows(remove_effects(log, selection, list(courses))), log.machine, laws)
+    before = {part.law.joint: part.law for part in selection.problem.parts}
+    return None if all(_is_same_law(law, before[joint]) for joint, law in chosen.items()) else chosen
+
+
+def _is_same_law(law: StepLaw, before: StepLaw) -> bool:
+    """Whether a law is no other, but for a lambda that the log leaves open."""
+    if isinstance(law, Physical) and isinstance(before, Physical) and any(law.plausible):
+        return law.allows(before.ratios)
+    return _describe(law) == _describe(before)
+
+
+def _describe(law: StepLaw) -> dict[str, Any]:
+    """What a law is made of; nothing of one that only its own program knows, which chooses no other."""
+    try:
+        return describe_law(law)
+    except InputError:
+        return {}
 
 
 def _is_same(one: Array, other: Array) -> bool:

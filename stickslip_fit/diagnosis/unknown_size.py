@@ -64,8 +64,7 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
     residual = linearized.residual if selected.version is None else misfit.residual
     shape = _shrink_structure(best, residual)
     if isinstance(best, AR1):
-        of_noise = replace(linearized, residual=residual)
-        effect = estimate_ar1_effect(of_noise, best, selection.problem.linearize())
+        effect = estimate_ar1_effect(selected.tested or linearized, best, selection.problem.linearize())
     else:
         effect = _size_structure(selection, replace(selected, cause=strongest), shape, alpha)
     size = np.abs(shape)

@@ -27,8 +27,9 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes import ExtendedLaw, describe
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.noise import Flag, NoiseLevel, t_quantile
-from stickslip_fit.laws import StepLaw, traverse_length
+from stickslip_fit.laws import StepLaw, expected_steps, traverse_length
 from stickslip_fit.logs import Log
+from stickslip_fit.logs.history import DEPARTURES, follow_departures
 from stickslip_fit.logs.log import CHANGED
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import UNITS, from_si
@@ -89,6 +90,7 @@ AxesArray = npt.NDArray[np.object_]  # of a figure, panel by panel
 PREDICTION_COLUMNS = ("steps", "step_size", "relative_error", "low", "high")
 SHOWN_PREDICTION_COLUMNS = ("calibration", "steps", "low", "high", "step_size", "unit", "error_pct")
 PARAMETER_NUMBERS = ("estimate", "standard_error", "low", "high")
+OUTLYING_SD = 6.0  # standard deviations by which an outlying count is off
 ALL_JOINTS = 0  # in place of a joint, for what concerns all of them
 
 
@@ -280,7 +282,9 @@ class Result(Summarized):
         Parameters
         ----------
         rows : DataFrame
-            A log's columns; steps are not needed.
+            A log's columns. Steps are not needed; a law in which something carries over from the traverse
+            before predicts each traverse from those of the traverses before it, and expects nothing to carry
+            over where there are none.
 
         Returns
         -------
@@ -297,6 +301,33 @@ class Result(Summarized):
         return convert_predictions(self.si.predict(rows), rows, self.machine)
 
     def _predict(self, rows: pd.DataFrame) -> pd.DataFrame:
+        needed = {name for fit in self.joints.values() for name in fit.law.columns} & {*DEPARTURES}
+        if "steps" not in rows or needed <= {*rows.columns}:
+            return self._predict_each(rows)
+
+        def depart(rows: pd.DataFrame) -> Array:
+            """As far as it is not the parameters' error; 0 of a traverse without a usable count.
+
+            A count that is far off says nothing of the step size.
+            """
+            steps = expected_steps(rows["steps"], rows.get("check_every", 1))
+            is_usable = rows["status"] == "ok" if "status" in rows else np.isfinite(steps)
+            predicted = self._predict_each(rows)
+            noise, error = self._noise_of(rows) ** 2, predicted["relative_error"].fillna(np.inf) ** 2
+            departure = predicted["steps"] / steps - 1.0
+            is_usable &= (noise > 0) & (departure**2 < OUTLYING_SD**2 * (noise + error))
+            return np.where(is_usable, departure / (1.0 + error / noise), 0.0)
+
+        return self._predict_each(follow_departures(rows, depart))
+
+    def _noise_of(self, rows: pd.DataFrame) -> Array:
+        """Repeatability of each row's joint and direction, relative, shape (n,)."""
+        known = {
+            (k, way): one.value for k, fit in self.joints.items() for way, one in fit.repeatability.items()
+        }
+        return np.array([known[key] for key in zip(rows["joint"], rows["direction"], strict=True)])
+
+    def _predict_each(self, rows: pd.DataFrame) -> pd.DataFrame:
         tables = [self._predict_joint(k, rows[rows["joint"] == k]) for k in rows["joint"].unique()]
         if not tables:
             return pd.DataFrame(columns=list(PREDICTION_COLUMNS), dtype=float)

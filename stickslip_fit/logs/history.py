@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._typing import Int64Array
+from stickslip_fit._typing import Array, Int64Array
 from stickslip_fit.logs._table import label_codes, run_in_threads
 from stickslip_fit.machine import Machine, load_machine, mean_load
 
 # History on which no published cause depends.
 FURTHER_HISTORY = ("before_length", "before_gap", "before_joint", "pause", "joint_pause", "session_order")
+# What the step size of the traverse before had beyond its law, and the time since that traverse.
+DEPARTURES = {"departure_before": "pause", "joint_departure_before": "joint_pause"}
+MAX_PASSES, DEPARTURE_TOL = 30, 1e-9  # of laws that follow departures
+CLOSE_IN_TIME = 1e-3  # s
 
 
 def add_history(rows: pd.DataFrame) -> pd.DataFrame:
@@ -88,6 +93,42 @@ def add_session_history(
         session_seconds=seconds,
         session_order=number.astype(float),
     )
+
+
+def add_departures(rows: pd.DataFrame, departures: Array) -> pd.DataFrame:
+    """Add the columns of `DEPARTURES` from the departure of each traverse, shape (n,).
+
+    A traverse whose predecessor is not among the rows keeps what the columns have; 0 without them.
+    """
+    columns = {}
+    for name, pause in DEPARTURES.items():
+        known = rows[name].to_numpy(float) if name in rows else np.zeros(len(rows))
+        if not {"session_seconds", pause} <= {*rows.columns}:
+            columns[name] = known
+            continue
+        chain = ["session"] if pause == "pause" else ["session", "joint"]
+        before = previous_rows(rows.groupby(chain, observed=True).ngroup().to_numpy(np.int64))
+        at = rows["session_seconds"].to_numpy(float)
+        is_before = np.abs(at - at[before] - rows[pause].to_numpy(float)) < CLOSE_IN_TIME
+        columns[name] = np.where((before >= 0) & is_before, departures[before], known)
+    return rows.assign(**columns)
+
+
+def follow_departures(
+    rows: pd.DataFrame, depart: Callable[[pd.DataFrame], Array], n_passes: int = MAX_PASSES
+) -> pd.DataFrame:
+    """Rows with the columns of `DEPARTURES` that agree with the departures that follow from them.
+
+    `depart` goes from rows with these columns to the departure of each traverse from its law, shape (n,),
+    relative, of its step size.
+    """
+    departures = np.zeros(len(rows))
+    for _ in range(n_passes):
+        rows, before = add_departures(rows, departures), departures
+        departures = depart(rows)
+        if np.abs(departures - before).max(initial=0.0) < DEPARTURE_TOL:
+            break
+    return rows
 
 
 def add_unknown_history(rows: pd.DataFrame) -> pd.DataFrame:

@@ -89,7 +89,8 @@ def _add_expected_history(
         return rows_with_history.drop(columns="steps_before")
 
     def count_steps(rows_with_history: pd.DataFrame) -> Int64Array:
-        known = set_steps_before(rows_with_history)
+        # Expected counts depart from no law.
+        known = set_steps_before(rows_with_history).drop(columns="steps", errors="ignore")
         predicted = fitted.si.predict(known.assign(session=_calibration_sessions(fitted, known, session)))
         return observed_count(np.nan_to_num(predicted["steps"]), rows_with_history["check_every"])
 

@@ -20,8 +20,9 @@ import pandas as pd
 from stickslip_fit._typing import Array, Int64Array, IntArray
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import InputError, check_count
-from stickslip_fit.laws import Rows, StepLaw, float_column, observed_count
+from stickslip_fit.laws import Rows, StepLaw, expected_steps, float_column, observed_count
 from stickslip_fit.logs import Log, add_history
+from stickslip_fit.logs.history import DEPARTURES, follow_departures
 from stickslip_fit.logs.plan import NoiseKind, Plan
 from stickslip_fit.logs.reader import DIRECTIONS
 from stickslip_fit.logs.schema import CONDITIONS
@@ -100,7 +101,7 @@ def drive_through(
     laws : iterable of StepLaw
         Those of `count_steps`.
     """
-    passes = MAX_PASSES if any(uses_history(law) for law in laws) else 1
+    passes = MAX_PASSES if any(uses_history(law) or follows_departures(law) for law in laws) else 1
     rows_with_history = rows.assign(**INITIAL_HISTORY)
     for _ in range(passes):
         steps = count_steps(rows_with_history)
@@ -115,6 +116,11 @@ def drive_through(
 def uses_history(law: StepLaw) -> bool:
     """Whether a law's counts depend on time or history."""
     return not INITIAL_HISTORY.keys().isdisjoint(law.columns)
+
+
+def follows_departures(law: StepLaw) -> bool:
+    """Whether what a traverse departs by carries over to the next."""
+    return not DEPARTURES.keys().isdisjoint(law.columns)
 
 
 T_NOISE_DF = 5
@@ -303,7 +309,17 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
     noise = np.exp(repeatability * draws.noise + misfires)
 
     def count_steps(rows_with_history: pd.DataFrame) -> Int64Array:
-        return observed_count(_count_steps(rows_with_history, truth, factor) * noise, rows["check_every"])
+        def count(rows: pd.DataFrame) -> tuple[Array, Int64Array]:
+            expected = _count_steps(rows, truth, factor)
+            return expected, observed_count(expected * noise, rows["check_every"])
+
+        def depart(rows: pd.DataFrame) -> Array:
+            expected, steps = count(rows)
+            return expected / expected_steps(steps, rows["check_every"]) - 1.0
+
+        if any(follows_departures(law) for law in truth.laws.values()):
+            rows_with_history = follow_departures(rows_with_history, depart)
+        return count(rows_with_history)[1]
 
     driven = drive_through(plan, rows, draws.wait, count_steps, truth.laws.values())
     missing = {name: np.nan for name in CONDITIONS if name not in driven}

@@ -59,7 +59,8 @@ def test_beside_memory_errors_are_those_under_correlated_noise(monkeypatch):
     coefficient = selection.selected[1].misfit.best_hypothesis("unknown").coefficient
     distance = np.abs(np.subtract.outer(np.arange(len(problem)), np.arange(len(problem))))  # of one session
     estimator = np.linalg.pinv(design_matrix(selection) / problem.scale[:, None])[-q:]
-    by_hand = estimator @ coefficient**distance @ estimator.T
+    # The law has what carries over, so that the noise of the problem is that of the innovations.
+    by_hand = estimator @ coefficient**distance @ estimator.T / (1 - coefficient**2)
     assert found.findings[1].carrier == "memory"
     assert expected_covariance(selection) == pytest.approx(by_hand, rel=1e-6)
 

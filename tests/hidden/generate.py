@@ -12,7 +12,7 @@ np.True_
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +40,13 @@ class UnreachableError(ValueError):
 
 @dataclass(frozen=True)
 class Act:
-    """An effect at work: its name and form, and its size."""
+    """An effect at work: its name and form, its size, and which of nature's draws it is."""
 
     name: str
     form: str
     effect: Effect
     size: float
+    draw: int = 0
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ def hide(
     forms : mapping of str to str, optional
         Form of an effect, by its name; drawn where it is not given.
     replicate : int
-        Another number is the same campaign measured again.
+        Another number is the same campaign measured again, with the same effects of the same sizes.
 
     Raises
     ------
@@ -126,11 +127,14 @@ def hide(
     unknown = set(effects) - set(EFFECTS)
     if unknown:
         raise ValueError(f"there are no effects {sorted(unknown)}; choose from {tuple(EFFECTS)}")
-    campaign = make_campaign(design, noise, seed, replicate)
-    ruler = Ruler(campaign)
+    campaign = make_campaign(design, noise, seed)
     strengths = np.broadcast_to(np.array(strength, dtype=object), len(effects))
     wanted = dict(zip(effects, strengths, strict=True))
+    ruler = Ruler(campaign)
     acts = tuple(_act(ruler, name, wanted[name], seed, forms) for name in EFFECTS if name in wanted)
+    if replicate:
+        campaign = make_campaign(design, noise, seed, replicate)
+        ruler, acts = Ruler(campaign), tuple(_again(campaign, act, seed, forms) for act in acts)
     counts = expected(campaign, [(act.effect, act.size) for act in acts])
     if np.any(np.isnan(counts)):
         raise UnreachableError(f"with {', '.join(effects)} at work a joint comes to a halt")
@@ -172,16 +176,22 @@ testable.__test__ = False  # type: ignore[attr-defined]
 def _act(ruler: Ruler, name: str, strength: float | None, seed: int, forms: Mapping[str, str] | None) -> Act:
     """The first draw that is plausible at this strength, else the one that is least implausible."""
     found: list[Act] = []
-    for form, effect in _draws(ruler.campaign, name, seed, (forms or {}).get(name)):
+    for draw, (form, effect) in enumerate(_draws(ruler.campaign, name, seed, (forms or {}).get(name))):
         size = effect.largest if strength is None else ruler.size(effect, strength)
         if size is None or size < effect.smallest:
             continue
-        found.append(Act(name, form, effect, size))
+        found.append(Act(name, form, effect, size, draw))
         if size <= effect.largest:
             return found[-1]
     if not found:
         raise UnreachableError(f"{name} cannot be of strength {strength} in this log")
     return min(found, key=lambda act: act.size / act.effect.largest)
+
+
+def _again(campaign: Campaign, act: Act, seed: int, forms: Mapping[str, str] | None) -> Act:
+    """An effect in a replicate: that of noise follows the replicate's own."""
+    _, effect = _draws(campaign, act.name, seed, (forms or {}).get(act.name))[act.draw]
+    return replace(act, effect=effect)
 
 
 def _draws(campaign: Campaign, name: str, seed: int, form: str | None) -> list[tuple[str, Effect]]:

@@ -4,7 +4,7 @@
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,18 +86,25 @@ def stage_cases(logs: int, first: int = 0) -> Iterator[StageCase]:
         yield StageCase(regime, changes[seed // 2 % len(changes)], seed % 4 > 1, seed)
 
 
-def diagnose_stage(case: StageCase) -> StageScore:
-    """Make a log, write and read it, diagnose it with the physical laws."""
+def make_log(case: StageCase, joints: Collection[int] = (1, 2, 3)) -> ssf.Log:
+    """The traverses of some joints in the log of a case, written and read."""
     design = "many" if case.change == "friction:humidity" else "session"
     stage = Stage(case.regime, Bristles() if case.lugre else None)
-    hidden = drive_stage(design, stage, case.change, SIZE, seed=case.seed)
+    table = drive_stage(design, stage, case.change, SIZE, seed=case.seed).table
     with TemporaryDirectory() as folder:
         path = Path(folder) / "log.csv"
-        hidden.write(path)
-        log = ssf.read_log(path)
-    laws = {joint: ssf.physical_law for joint in log.joints}
-    found = ssf.diagnose(log, laws=laws, gain=False).measure_gain()
-    stage = read_stage(found.selection, found.findings, log.machine)
+        table[table["joint"].isin(joints)].to_csv(path, index=False)
+        return ssf.read_log(path)
+
+
+def decide(log: ssf.Log) -> ssf.Diagnosis:
+    """The diagnosis with the physical laws, without its gain."""
+    return ssf.diagnose(log, laws=dict.fromkeys(log.joints, ssf.physical_law), gain=False)
+
+
+def score_diagnosis(case: StageCase, found: ssf.Diagnosis) -> StageScore:
+    """What a diagnosis of a case's log says, beside what is true."""
+    stage = read_stage(found.selection, found.findings, found.require_log().machine)
     names = tuple(one.cause for one in found.findings)
     reading = stage[0] if stage else None
     limited = reading.fingerprint["friction_limited"] if reading else ()
@@ -108,6 +115,11 @@ def diagnose_stage(case: StageCase) -> StageScore:
         tuple(one.quantity for one in reading.credible) if reading else (),
         tuple((share > MIN_LIMITED) == (case.regime == "friction") for share in limited),
     )
+
+
+def diagnose_stage(case: StageCase) -> StageScore:
+    """Make a log, diagnose it with the physical laws, and measure the gain, after which causes may go."""
+    return score_diagnosis(case, decide(make_log(case)).measure_gain())
 
 
 def summarize_scores(scores: list[StageScore]) -> str:

@@ -130,3 +130,15 @@ def test_a_replicate_has_other_noise_and_the_same_effect():
     np.testing.assert_array_equal(hidden.expected(), fresh.expected())
     assert np.corrcoef(log_counts(hidden) - np.log(hidden.expected()),
                        log_counts(fresh) - np.log(fresh.expected()))[0, 1] < 0.2  # fmt: skip
+
+
+def test_what_follows_noise_follows_a_replicates_own_with_the_same_size_and_sign():
+    # Nature's draws are all too large here, and by the replicate's noise another would be the least so.
+    case = OutsideCase("unknown:history", "residual before, one way", "session", "gaussian", 25.0, 104)
+    hidden, fresh = case.make(), case.make(replicate=1)
+    (parameter,), (again,) = (one.truth["effects"][0]["parameters"] for one in (hidden, fresh))
+    assert again == parameter
+    campaign = fresh.campaign
+    onto = np.flatnonzero((campaign.plan.forward > 0) & (np.arange(len(campaign)) > 0))
+    follows = (campaign.repeatability[1:] * campaign.innovations[:-1])[onto - 1]
+    np.testing.assert_allclose(fresh.effect("unknown:history")[onto], parameter["value"] * follows, rtol=1e-9)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from stickslip_fit.causes import ExtendedLaw
+from stickslip_fit.causes import ExtendedLaw, extend
+from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.errors import InputError
-from stickslip_fit.simulation import simulate
+from stickslip_fit.simulation import LawValues, simulate
 
 QUIET = {"repeatability": 1e-9, "check_every": 1}
 WARM = '[[cause]]\nname = "thermal-warm-up"\nA = "3 %"\ntau = "20 min"\n'
@@ -87,3 +88,18 @@ def test_a_jump_in_a_session_that_is_not_planned_is_refused(plan_of, law_of, mac
     law = law_of(more=KNOCKED.replace("03-06", "04-06"))
     with pytest.raises(InputError, match="session-jump happens in session '2012-04-06', which the plan does"):
         simulate(plan_of(), law, machine)
+
+
+def test_what_a_traverse_departs_by_carries_over_to_the_next(plan_of, law_of, rows_of, machine):
+    """The same noise with and without it."""
+    plan, law = plan_of(replicates=4, order="random"), law_of()
+    extended = extend(law.laws[3], CarryOverTerm(on=((3, "+"),)))
+    values = {key: np.append(own, 0.6) for key, own in law.values.items()}
+    rows = simulate(plan, LawValues({3: extended}, values), machine).rows
+    plain = simulate(plan, law, machine).rows
+    expected = rows_of(replicates=4, order="random", **QUIET)["steps"].to_numpy()
+    departure = expected / (plain["steps"] - 2.5).to_numpy() - 1
+    follows = (rows["direction"] == "+").to_numpy() & (rows["session_order"] > 0).to_numpy()
+    carried = np.where(follows, 0.6 * np.r_[0.0, departure[:-1]], 0.0)
+    assert np.std(carried[follows]) > 1e-3
+    assert np.all(np.abs(rows["steps"] - plain["steps"] / (1 + carried)) <= 10)

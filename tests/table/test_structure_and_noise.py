@@ -117,7 +117,7 @@ def test_what_noise_that_persists_did_while_samples_are_missing_is_no_sudden_cha
     assert not ssf.diagnose_table(frame, "y ~ mean", time="t", gain=False).findings
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.nightly)])
 def test_a_wave_with_harmonics_whose_size_grows_is_one_finding(seed):
     rng, hours = np.random.default_rng(seed), np.arange(480.0)
     day = 2.0 * np.pi * hours / 24.0
@@ -135,7 +135,9 @@ SLOW = {
 }
 
 
-@pytest.mark.parametrize("shape", SLOW)
+@pytest.mark.parametrize(
+    "shape", ["parabola", pytest.param("turned parabola", marks=pytest.mark.nightly), "cubic"]
+)
 def test_a_polynomial_in_time_is_no_warm_up_no_drift_and_no_sudden_change(shape):
     rng, u = np.random.default_rng(0), np.arange(120) / 120
     x = rng.uniform(0.0, 10.0, 120)
