@@ -1,7 +1,5 @@
 """Run every benchmark; each prints its figures."""
 
-from __future__ import annotations
-
 from benchmarks import (
     drive,
     end_stop,

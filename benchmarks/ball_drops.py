@@ -1,7 +1,5 @@
 """Measured ball drops: drag and the camera's slant, beside a fit of the same by scipy."""
 
-from __future__ import annotations
-
 import resource
 from pathlib import Path
 
@@ -11,38 +9,12 @@ from scipy.optimize import least_squares
 
 import stickslip_fit as ssf
 from stickslip_fit._typing import Array
+from tests.balls.fall import LAW, MIDDLE, SLANT, G, drags, linear_drag, quadratic_drag
 
 ROOT = Path(__file__).parents[1]
-G, MIDDLE = 9.80665, 30.0  # m/s^2, m
-LEAST = 1e-7  # drag below which the closed forms are rounding
-LAW = ssf.Law(f"height ~ release + velocity*seconds - {G}/2*seconds**2")
-
-
-def quadratic_drag(seconds: Array, velocity: Array, k: Array) -> Array:
-    """What a deceleration k v |v| adds to free fall."""
-    absent, k = k < LEAST, np.maximum(k, LEAST)
-    terminal, rate = np.sqrt(G / k), np.sqrt(G * k)
-    up, down = np.maximum(velocity, 0.0), np.minimum(velocity, 0.0)
-    top, phase = np.arctan(up / terminal) / rate, np.arctanh(np.maximum(down / terminal, -0.999999))
-    rising = np.log(np.cos(np.clip(rate * (top - seconds), 0.0, 1.5)))
-    falling = np.log(np.cosh(rate * np.maximum(seconds - top, 0.0) - phase)) - np.log(np.cosh(phase))
-    height = np.log1p((up / terminal) ** 2) / (2 * k) + (rising - falling) / k
-    return np.where(absent, 0.0, height - (velocity * seconds - G / 2 * seconds**2))
-
-
-def linear_drag(seconds: Array, velocity: Array, r: Array) -> Array:
-    """What a deceleration r v adds to free fall."""
-    absent, r = r < LEAST, np.maximum(r, LEAST)
-    height = (velocity + G / r) * -np.expm1(-r * seconds) / r - G / r * seconds
-    return np.where(absent, 0.0, height - (velocity * seconds - G / 2 * seconds**2))
 
 
 DRAGS = {"quadratic-drag": quadratic_drag, "linear-drag": linear_drag}
-CAUSES = (
-    ssf.Cause("quadratic-drag", quadratic_drag, "k in 1/m", by="ball", bounds={"k": (1e-4, 0.2)}),
-    ssf.Cause("linear-drag", linear_drag, "r in 1/s", by="ball", bounds={"r": (1e-3, 2.0)}),
-    ssf.Cause("slant", f"+ s*(height - {MIDDLE})**2/2", "s in 1/m"),
-)
 
 
 def read_frames() -> pd.DataFrame:
@@ -105,17 +77,17 @@ def main() -> None:
             s = f"s = {values['slant']:.4f} +- {error['slant']:.4f} 1/m" if slanted else "without slant"
             print(f"scipy   {drag:15s} {s:34s} rms {rms:.3f} m")
     began = _cpu_seconds()
-    diagnosis = ssf.diagnose_table(frames, LAW, session="run", time="seconds", causes=CAUSES)
+    diagnosis = ssf.diagnose_table(frames, LAW, session="run", time="seconds", causes=[*drags("ball"), SLANT])
     seconds = _cpu_seconds() - began
     for finding in diagnosis.findings:
         print(
             f"ours    {finding.cause}; not told apart from: {', '.join(finding.equivalent) or 'none'}; "
             f"found together with: {', '.join(finding.together_with) or 'none'}"
         )
-    drags = [finding.cause for finding in diagnosis.findings if finding.cause in DRAGS]
-    if drags:
+    named = [finding.cause for finding in diagnosis.findings if finding.cause in DRAGS]
+    if named:
         ours, our_error = our_sizes(diagnosis)
-        values, error, _ = fit_by_scipy(frames, drags[0], "slant" in ours)
+        values, error, _ = fit_by_scipy(frames, named[0], "slant" in ours)
         both = pd.DataFrame({"ours": ours, "error": our_error, "scipy": values, "scipy's error": error})
         both["apart, ours"] = (both["ours"] - both["scipy"]).abs() / both["error"]
         print(both.round(4).to_string())

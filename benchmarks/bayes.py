@@ -5,8 +5,6 @@ Each contender runs in a process of its own from its imports, compilation includ
 given as PEERS_PYTHON; it needs emcee, arviz, numpyro and nutpie with pymc and numba.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import subprocess
@@ -269,10 +267,7 @@ def main() -> None:
         with np.load(base / "ours.npz") as draws:
             reference = dict(draws)
         size, r_hat = reference.pop("worst")
-        print(
-            f"ours: {own:.1f} s (processor {own_cpu:.1f} s); ESS {size:.0f}, R-hat {r_hat:.4f}",
-            flush=True,
-        )
+        print(f"ours: {own:.1f} s (processor {own_cpu:.1f} s); ESS {size:.0f}, R-hat {r_hat:.4f}", flush=True)
         if peers is None:
             print("peers not run: set PEERS_PYTHON to their environment's interpreter")
             return

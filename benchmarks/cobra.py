@@ -6,8 +6,6 @@ smoothing spline of the traverse's middle for each direction. It is fitted to th
 with the penalty that predicts them best in an inner cross-validation, and predicts the fold's held-out rows.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ system time of all their processes counts, imports included. `--decide` also has
 decided, without gain; `--page` and `--report` have pages made.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import subprocess

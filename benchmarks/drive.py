@@ -8,8 +8,6 @@ are then made one after another by the true law, each joint and direction with o
 for the drive.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass

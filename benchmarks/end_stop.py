@@ -1,7 +1,5 @@
 """End-stop detection at good and bad signal-to-noise ratios, beside a fixed threshold."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from time import process_time
 

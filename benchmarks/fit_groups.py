@@ -7,6 +7,7 @@ share of the groups and scaled up, since a full loop of lmfit takes minutes.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from functools import partial
 
 import lmfit
@@ -22,6 +23,7 @@ SESSIONS = 1000
 PEER_GROUPS = 200
 UNIT = np.array([1e-6, 1.0, 1e-6])  # the peers see numbers of order one
 REPEATABILITY = 0.0027
+START, TOLERANCES = [1.08, 0.2, 0.0], {"xtol": 1e-12, "ftol": 1e-12, "gtol": 1e-12}
 
 
 def campaign(rng: np.random.Generator) -> pd.DataFrame:
@@ -60,40 +62,28 @@ def ours(rows: pd.DataFrame) -> np.ndarray:
     return minimize(law.model(rows), y, weight, groups, start, scales, damping=0.0).values
 
 
-def minpack_loop(parts: list[pd.DataFrame]) -> np.ndarray:
-    """One group after the other by MINPACK's Levenberg-Marquardt, with the law's analytic derivatives."""
-    law, found = Prismatic(), []
-    for rows in parts:
-        y, weight = weights(law, rows)
-        model, root = law.model(rows), np.sqrt(weight)
-        best, _ = leastsq(
-            lambda p, model=model, y=y, r=root: r * (y - model(p * UNIT)[0]),
-            [1.08, 0.2, 0.0],
-            Dfun=lambda p, model=model, r=root: -r[:, None] * model(p * UNIT)[1] * UNIT,
-            xtol=1e-12,
-            ftol=1e-12,
-            gtol=1e-12,
-        )
-        found.append(best * UNIT)
-    return np.array(found)
-
-
-def scipy_loop(parts: list[pd.DataFrame]) -> np.ndarray:
+def loop(solve: Callable[..., np.ndarray], parts: list[pd.DataFrame]) -> np.ndarray:
     """One group after the other, with the law's analytic derivatives."""
     law, found = Prismatic(), []
     for rows in parts:
         y, weight = weights(law, rows)
         model, root = law.model(rows), np.sqrt(weight)
-        answer = scipy_least_squares(
+        best = solve(
             lambda p, model=model, y=y, r=root: r * (y - model(p * UNIT)[0]),
-            [1.08, 0.2, 0.0],
-            jac=lambda p, model=model, r=root: -r[:, None] * model(p * UNIT)[1] * UNIT,
-            xtol=1e-12,
-            ftol=1e-12,
-            gtol=1e-12,
+            lambda p, model=model, r=root: -r[:, None] * model(p * UNIT)[1] * UNIT,
         )
-        found.append(answer.x * UNIT)
+        found.append(best * UNIT)
     return np.array(found)
+
+
+def by_minpack(misfit: Callable[..., np.ndarray], slopes: Callable[..., np.ndarray]) -> np.ndarray:
+    """MINPACK's Levenberg-Marquardt."""
+    return leastsq(misfit, START, Dfun=slopes, **TOLERANCES)[0]
+
+
+def by_scipy(misfit: Callable[..., np.ndarray], slopes: Callable[..., np.ndarray]) -> np.ndarray:
+    """The trust region that is scipy's default."""
+    return scipy_least_squares(misfit, START, jac=slopes, **TOLERANCES).x
 
 
 def lmfit_loop(parts: list[pd.DataFrame]) -> np.ndarray:
@@ -122,8 +112,8 @@ def main() -> None:
     for _ in range(3):
         for name, run in (
             ("ours", partial(ours, rows)),
-            ("MINPACK's leastsq", partial(minpack_loop, parts)),
-            ("scipy", partial(scipy_loop, parts)),
+            ("MINPACK's leastsq", partial(loop, by_minpack, parts)),
+            ("scipy", partial(loop, by_scipy, parts)),
             ("lmfit", partial(lmfit_loop, parts)),
         ):
             began = time.process_time()

@@ -4,18 +4,14 @@ Counts are doubled or halved at a rate, at least one in each log; at the rate 0 
 are.
 """
 
-from __future__ import annotations
-
 from argparse import ArgumentParser
 from collections import Counter
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from joblib import Parallel, delayed
 
 from stickslip_fit.diagnosis import diagnose
-from stickslip_fit.logs import read_log
 from tests.hidden.gross import SIZES, make_gross
+from tests.hidden.reading import read_hidden
 
 MISFIRE, UNKNOWN = "end-stop-misfire", "unknown"
 
@@ -23,10 +19,7 @@ MISFIRE, UNKNOWN = "end-stop-misfire", "unknown"
 def find_causes(size: str, rate: float, seed: int, gain: bool) -> tuple[str, ...]:
     """The causes that are named in one log."""
     hidden, _ = make_gross(size, rate, seed)
-    with TemporaryDirectory() as folder:
-        hidden.write(Path(folder) / "log.csv")
-        log = read_log(Path(folder) / "log.csv")
-    return tuple(finding.cause for finding in diagnose(log, seed=seed, gain=gain).findings)
+    return tuple(finding.cause for finding in diagnose(read_hidden(hidden), seed=seed, gain=gain).findings)
 
 
 def main() -> None:

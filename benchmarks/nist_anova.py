@@ -4,8 +4,6 @@ A number is the correct digits of F. The last column is what exact arithmetic on
 decimals become can reach at best.
 """
 
-from __future__ import annotations
-
 import re
 import warnings
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 The files come with the wheel of refnx; the formulas are read from them, and differentiated by sympy.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass

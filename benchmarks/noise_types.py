@@ -4,21 +4,17 @@ Gross errors are 1 % of the counts doubled; `tests.hidden.noise` has the others.
 hidden beside the noise, and its size's interval is compared with the truth.
 """
 
-from __future__ import annotations
-
 from argparse import ArgumentParser
 from collections import Counter
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from joblib import Parallel, delayed
 
 from stickslip_fit.diagnosis import Diagnosis, diagnose
-from stickslip_fit.logs import read_log
 from tests.hidden.generate import Hidden, UnreachableError, hide
 from tests.hidden.gross import spoil
 from tests.hidden.noise import KINDS, OTHER_KINDS
+from tests.hidden.reading import read_hidden
 
 DESIGNS = ("session", "thesis", "many")
 GROSS, GROSS_RATE = "gross", 0.01
@@ -43,10 +39,7 @@ def make(kind: str, seed: int, effects: tuple[str, ...] = (), strength: float | 
 
 def answer(hidden: Hidden, seed: int) -> Diagnosis:
     """The diagnosis, without its gain."""
-    with TemporaryDirectory() as folder:
-        hidden.write(Path(folder) / "log.csv")
-        log = read_log(Path(folder) / "log.csv")
-    return diagnose(log, seed=seed, gain=False)
+    return diagnose(read_hidden(hidden), seed=seed, gain=False)
 
 
 def findings(kind: str, seed: int) -> tuple[tuple[str, ...], tuple[str, ...]]:

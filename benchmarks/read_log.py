@@ -1,7 +1,5 @@
 """Reading and checking a log of a million rows, beside a plain pandas read of the same file."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 `python -m benchmarks.report quick` leaves out the diagnosis and the comparison of strategies.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """Simulating a million traverses against literally stepping them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path

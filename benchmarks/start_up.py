@@ -1,7 +1,5 @@
 """How long the command line takes to answer at all, beside an empty Python process."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

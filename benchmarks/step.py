@@ -1,7 +1,5 @@
 """Steps a second: closed form, Coulomb friction event by event, LuGre friction by both solvers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from time import process_time
 

@@ -5,8 +5,6 @@ package pydataset, unpacked (`rdata/csv`); without it only those that statsmodel
 `python -m benchmarks.tables --nothing 300` counts alarms in tables in which there is nothing but noise.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Iterator

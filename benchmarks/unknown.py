@@ -5,13 +5,10 @@ law lowers the rms error on a fresh replicate (same campaign, new noise) against
 what the effect's true form saves there, with its size fitted to the same log.
 """
 
-from __future__ import annotations
-
 import json
 from argparse import ArgumentParser
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
@@ -19,9 +16,8 @@ from joblib import Parallel, delayed
 
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.estimation import fit_least_squares
-from stickslip_fit.logs import Log, read_log
-from tests.hidden.generate import Hidden
 from tests.hidden.outside import OutsideCase, cases, rms, true_form
+from tests.hidden.reading import read_hidden
 
 STRENGTHS = (12.0, 25.0)
 UNKNOWN = "unknown"
@@ -46,13 +42,6 @@ class Answer:
     def recognised(self) -> bool:
         """Whether the structure is called unknown, and not by the name of a cause."""
         return self.found[:1] == (UNKNOWN,)
-
-
-def read_hidden(hidden: Hidden) -> Log:
-    """A hidden log as a user's file."""
-    with TemporaryDirectory() as folder:
-        hidden.write(Path(folder) / "log.csv")
-        return read_log(Path(folder) / "log.csv")
 
 
 def diagnose_case(case: OutsideCase) -> Answer:

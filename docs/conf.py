@@ -1,7 +1,5 @@
 """How the documentation is built: `make docs`, or ``sphinx-build -W -b html docs docs/_build/html``."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

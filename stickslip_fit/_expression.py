@@ -33,10 +33,6 @@ def _step(x: Array) -> Array:
     return np.heaviside(x, 0.5)
 
 
-def _power(x: Array, exponent: Array) -> Array:
-    return np.power(x, exponent)
-
-
 def _power_by_exponent(x: Array, exponent: Array) -> Array:
     """Derivative of x**exponent by the exponent; 0 at x = 0, as its limit is."""
     power = np.power(x, exponent)
@@ -70,7 +66,7 @@ FUNCTIONS: dict[str, tuple[Numpy, Derivatives]] = {
     "max": (np.maximum, lambda f, x, y: (f["step"](x - y), f["step"](y - x))),
 }
 _POWERS: dict[str, tuple[Numpy, Derivatives]] = {
-    "**": (_power, lambda f, x, a: (a * f["**"](x, a - 1), f["** by exponent"](x, a))),
+    "**": (np.power, lambda f, x, a: (a * f["**"](x, a - 1), f["** by exponent"](x, a))),
     "** by exponent": (_power_by_exponent, lambda f, x, a: (0, 0)),  # of which none is ever taken
 }
 GRAMMAR = f'numbers, names, Q("any name"), + - * / ** ( ), pi, and the functions {", ".join(FUNCTIONS)}'

@@ -1,7 +1,5 @@
 """A campaign made without the laws' code, so that what fits it is tested and not echoed."""
 
-from __future__ import annotations
-
 import gc
 import os
 import sys
@@ -15,6 +13,7 @@ from scipy.integrate import quad
 
 from stickslip_fit import cli
 from stickslip_fit.logs import Log, read_log
+from stickslip_fit.machine import Machine, load_machine
 
 # Tests run side by side as it is: where "as many processes as cores" is the default, that is one.
 os.environ["LOKY_MAX_CPU_COUNT"] = "1"
@@ -90,10 +89,13 @@ class Truth:
         return abs(quad(pace, start, stop, epsabs=1e-6, epsrel=1e-11)[0])
 
 
-CALIBRATION = (
+CALIBRATION_3 = (
     {"joint": 3, "q2_deg": -90.0},
     {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
     {"joint": 3, "q2_deg": 0.0},
+)
+CALIBRATION = (
+    *CALIBRATION_3,
     {"joint": 2, "q3_mm": 0.0},
     {"joint": 2, "q3_mm": 12.0},
     {"joint": 2, "q3_mm": 12.0, "theta_deg": -90.0},
@@ -170,6 +172,18 @@ def read_table(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Log]:
     return read
 
 
+@pytest.fixture(scope="session")
+def machine_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str | bytes], Machine]:
+    """A reader of what stands in a machine file."""
+
+    def read(content: str | bytes) -> Machine:
+        path = tmp_path_factory.mktemp("machine") / "mine.toml"
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return load_machine(path)
+
+    return read
+
+
 def _row(
     session: str, clock: pd.Timestamp, direction: str, setting: dict[str, object], check_every: int
 ) -> dict[str, object]:
@@ -197,5 +211,17 @@ def run(monkeypatch, capsys):
             cli.main()
         printed = capsys.readouterr()
         return int(ended.value.code or 0), printed.out, printed.err
+
+    return call
+
+
+@pytest.fixture
+def refused(run):
+    """Run the command line, which has to end with status 2; what it complained."""
+
+    def call(*arguments: object) -> str:
+        status, _, complaint = run(*arguments)
+        assert status == 2
+        return complaint
 
     return call

@@ -1,7 +1,5 @@
 """The law extended by causes at the command line: fitted, saved, predicted with, moved by, simulated from."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys
@@ -155,14 +153,14 @@ def test_a_reversal_within_a_run_of_drives_costs_its_steps(run):
     assert ((out - there) - (6 - back)) * 1e3 == pytest.approx(-0.94 * found["reversal-loss.L"], rel=0.05)
 
 
-def test_what_a_move_must_be_told_is_asked_for_and_what_changes_nothing_refused(run):
+def test_what_a_move_must_be_told_is_asked_for_and_what_changes_nothing_refused(run, refused):
     move = ("plan-move", "fit.json", "--at", "0,-90,0", "--joints", "0,-60,6")
-    status, _, err = run(*move)
-    assert status == 2
-    assert "the law depends on how long the session has run: give --condition session_min=NUMBER" in err
-    status, _, err = run(*move, "--condition", "temperature_C=20")
-    assert status == 2
-    assert "this law depends on session_min; leave temperature_C out" in err
+    assert "the law depends on how long the session has run: give --condition session_min=NUMBER" in refused(
+        *move
+    )
+    assert "this law depends on session_min; leave temperature_C out" in refused(
+        *move, "--condition", "temperature_C=20"
+    )
     assert run(*move, "--condition", "session_min=soon")[0] == 2
 
 
@@ -226,14 +224,8 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
     told = diagnosing.save_extended_law(law, Path("named.json"))
     assert told == "law (extended by thermal-warm-up) saved to named.json"
     move = (
-        "plan-move",
-        "named.json",
-        "--at",
-        "0,-90,0",
-        "--joints",
-        "0,-60,6",
-        "--condition",
-        "session_min=30",
+        *("plan-move", "named.json", "--at", "0,-90,0", "--joints", "0,-60,6"),
+        *("--condition", "session_min=30"),
     )
     assert run(*move)[0] == 0
     nothing = Diagnosis.extended_law(

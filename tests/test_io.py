@@ -1,7 +1,5 @@
 """Files are written completely or not at all, whoever is killed meanwhile."""
 
-from __future__ import annotations
-
 import os
 import signal
 import stat

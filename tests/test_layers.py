@@ -1,7 +1,5 @@
 """The structure: imports point downwards, without a cycle; files of a size that one reads."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import subprocess

@@ -1,7 +1,5 @@
 """A summary says the same in a terminal and on a page; what a log says stays text."""
 
-from __future__ import annotations
-
 import pytest
 
 from stickslip_fit._summary import Column, Section, Summary, Table, paragraph

@@ -1,7 +1,5 @@
 """Threads of linear algebra: one within a diagnosis, as many as before after it."""
 
-from __future__ import annotations
-
 import inspect
 
 import pytest

@@ -1,7 +1,5 @@
 """What all TOML files have in common: their faults, the examples in the documentation, their JSON schemas."""
 
-from __future__ import annotations
-
 import json
 import sys
 import tomllib

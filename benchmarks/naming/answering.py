@@ -3,8 +3,6 @@
 ``python -m benchmarks.naming.answering CONTENDER FOLDER``, in the environment that has what it needs.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -4,8 +4,6 @@ First-order changes of the baseline, written in plain numpy on the node-wise law
 parameters are put on a grid. Each candidate is a cause and one column, or a few that go together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 

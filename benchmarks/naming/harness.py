@@ -6,8 +6,6 @@ Peers live in an environment of their own, whose interpreter is given as PEERS_P
 statsmodels, scikit-learn, interpret-core, pygam and pysindy.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import subprocess

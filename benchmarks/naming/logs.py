@@ -1,7 +1,5 @@
 """The logs, made once and kept in a folder: file, what contenders get, a fresh replicate, and the truth."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The diagnosis of this package as a contender."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from benchmarks.naming.problem import Answer, Problem

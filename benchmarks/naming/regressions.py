@@ -1,7 +1,5 @@
 """Learners given the columns and asked what matters: lasso, trees, additive models, sparse dynamics."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

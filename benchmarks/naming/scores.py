@@ -1,7 +1,5 @@
 """How right the answers are: alarms, names, sets, probabilities, intervals, and the errors they save."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass

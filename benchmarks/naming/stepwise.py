@@ -1,7 +1,5 @@
 """Forward stepwise regression: by AIC, by BIC, and held at a family-wise error rate of 1 %."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """The Python API: one page for the front door, and one for each package, with every name it exports."""
 
-from __future__ import annotations
-
 import inspect
 from importlib import import_module
 from types import ModuleType

@@ -1,7 +1,5 @@
 """Every cause of the library: what it does, by which parameters, why, and what would show it best."""
 
-from __future__ import annotations
-
 import inspect
 from math import inf
 from pathlib import Path

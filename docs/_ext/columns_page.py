@@ -1,7 +1,5 @@
 """The columns of a log and how each may be spelled, as the reader has them."""
 
-from __future__ import annotations
-
 from math import isfinite
 
 from markdown import code, table

@@ -1,7 +1,5 @@
 """Every command with its arguments and options, as the app itself has them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from markdown import code, table, text

@@ -1,7 +1,5 @@
 """Docstrings as people write them: |x| is an absolute value, and a sentence does not end after "Eq."."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What does not hold of the thesis, what does, what follows: ``data/published``, its numbers filled in."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Iterable

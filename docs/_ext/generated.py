@@ -4,8 +4,6 @@ What a docstring, the command line or the list of causes says is not written a s
 goes to ``docs/generated/``, which is not committed.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The published laws: parameters, what they depend on, and the traverses that calibrate them."""
 
-from __future__ import annotations
-
 import inspect
 from math import isnan
 

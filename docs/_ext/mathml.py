@@ -1,7 +1,5 @@
 """Equations as MathML, which browsers draw by themselves: a page asks no other host for anything."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

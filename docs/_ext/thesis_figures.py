@@ -4,8 +4,6 @@ The numbers of the figures are not printed in the thesis, so nothing here is com
 claim is put to the campaign, and the page says whether it holds there.
 """
 
-from __future__ import annotations
-
 import io
 import tempfile
 import tomllib

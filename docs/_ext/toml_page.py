@@ -1,7 +1,5 @@
 """The keys of every TOML file, from the models that read them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from itertools import groupby

@@ -4,8 +4,6 @@ The reference campaign is simulated with a warm-up in it. On the left are the re
 on the right those of the law extended by the cause that `diagnose` names.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 
@@ -17,6 +15,7 @@ from matplotlib.figure import Figure
 
 import stickslip_fit as ssf
 from stickslip_fit.diagnosis import Finding
+from stickslip_fit.plotting.sides import rms
 from stickslip_fit.units import from_si
 
 HERE = Path(__file__).parent
@@ -74,8 +73,8 @@ def draw(
         for parameter, digits in zip(finding.parameters, (1, 0), strict=True)
     )
     titles = {
-        f"Published law: residuals {_rms(before):.2f} % rms": before,
-        f"With {finding.cause}: {_rms(after):.2f} % rms": after,
+        f"Published law: residuals {rms(before):.2f} % rms": before,
+        f"With {finding.cause}: {rms(after):.2f} % rms": after,
     }
     for axis, (title, percent) in zip(axes, titles.items(), strict=True):
         _panel(axis, log, percent, palette)
@@ -99,10 +98,6 @@ def _panel(axis: Axes, log: ssf.Log, percent: pd.Series, palette: dict[str, str]
     axis.set_xlabel("hours since the session began")
     axis.set_xlim(-0.4, 21.6)
     axis.set_xticks(range(0, 21, 4))
-
-
-def _rms(percent: pd.Series) -> float:
-    return float(np.sqrt(np.mean(percent**2)))
 
 
 def _style(palette: dict[str, str]) -> dict[str, object]:

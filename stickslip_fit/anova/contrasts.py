@@ -339,8 +339,8 @@ def _studentized_range_quantile(levels: int, df: float) -> float:
 SIGNIFICANCE_LEVEL, TARGET_POWER = 0.05, 0.80
 
 
-def f_test_power(noncentrality: float, df: tuple[float, float], level: float = SIGNIFICANCE_LEVEL) -> float:
-    """Probability that the F test rejects at `level`.
+def f_test_power(noncentrality: float, df: tuple[float, float]) -> float:
+    """Probability that the F test rejects at 5 %.
 
     The noncentrality is the sum of squares of the true level means within blocks over the error's variance.
 
@@ -351,7 +351,7 @@ def f_test_power(noncentrality: float, df: tuple[float, float], level: float = S
     """
     from scipy.special import fdtri, ncfdtr
 
-    return float(1.0 - ncfdtr(*df, noncentrality, fdtri(*df, 1.0 - level)))
+    return float(1.0 - ncfdtr(*df, noncentrality, fdtri(*df, 1.0 - SIGNIFICANCE_LEVEL)))
 
 
 def smallest_noncentrality(difference: float, spread: float, comparison: BlockedComparison) -> float:

@@ -118,11 +118,7 @@ def check_assumptions(
     if np.isnan(time).any():
         reason = f"{NO_TIMES}, so that drift cannot be told from an effect"
         return (*shape, *(AssumptionCheck(name, "cannot tell", reason) for name in TIME_CHECKS))
-    return (
-        *shape,
-        _check_drift(values, time, cell),
-        _check_interleaving(time, level, block),
-    )
+    return (*shape, _check_drift(values, time, cell), _check_interleaving(time, level, block))
 
 
 TIME_CHECKS = ("drift within a session", "levels in turn")
@@ -218,15 +214,10 @@ class PermutationResult:
     exact: bool
 
 
-def permute_levels(values: Array, comparison: BlockedComparison, seed: int = 0) -> PermutationResult:
+def permute_levels(values: Array, comparison: BlockedComparison) -> PermutationResult:
     """Permutation test of levels within blocks, by the sum of squares of the levels, with which F rises.
 
-    Parameters
-    ----------
-    values : array, shape (n,)
-    comparison : BlockedComparison
-    seed : int, optional
-        Of random arrangements, where there are too many for all.
+    Where there are too many arrangements for all, random ones are drawn.
 
     Examples
     --------
@@ -242,7 +233,7 @@ def permute_levels(values: Array, comparison: BlockedComparison, seed: int = 0) 
     observed = _between_squares(centred, comparison)
     exact = count <= MAX_ARRANGEMENTS
     n_orders = count if exact else max(199, min(PERMUTATION_DRAWS, MAX_PERMUTED_NUMBERS // len(values)))
-    orders = _enumerate_orders(comparison) if exact else _draw_orders(comparison, n_orders, seed)
+    orders = _enumerate_orders(comparison) if exact else _draw_orders(comparison, n_orders)
     as_large = sum(
         int(np.sum(_between_squares(centred[chunk], comparison) >= observed * (1 - TIE_TOL)))
         for chunk in orders
@@ -287,8 +278,8 @@ def _enumerate_assignments(units: IntArray, level: IntArray) -> IntArray:
     return assigned
 
 
-def _draw_orders(comparison: BlockedComparison, count: int, seed: int) -> Iterator[IntArray]:
-    rng = np.random.default_rng(seed)
+def _draw_orders(comparison: BlockedComparison, count: int) -> Iterator[IntArray]:
+    rng = np.random.default_rng(0)
     n = len(comparison.block)
     home = np.argsort(comparison.block, kind="stable")
     back = np.argsort(home)

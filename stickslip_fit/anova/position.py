@@ -138,7 +138,9 @@ def analyze_positions(
     """
     joint, named = int(rows["joint"].iloc[0]), name_stretches(rows, machine)
     classed = bool(named["classed"].any())
-    used = _select_comparable(named[named[POSITION].notna()])
+    used = named[named[POSITION].notna()]
+    # A configuration that was driven over one stretch compares no positions.
+    used = used[used.groupby("setting")[POSITION].transform("nunique") > 1]
     if used[POSITION].nunique() < 2:
         return None, [_refuse(joint, POSITION, _explain_few(named))]
     model = PositionModel(used, classed)
@@ -217,11 +219,6 @@ def _class_bounds(short: pd.DataFrame, travel: float) -> Array:
     classes = np.ceil(short["middle"].rank(method="max", pct=True) * number)
     by_class = short["middle"].groupby(classes)
     return np.column_stack([by_class.transform("min"), by_class.transform("max")])
-
-
-def _select_comparable(rows: pd.DataFrame) -> pd.DataFrame:
-    """Rows of configurations that were driven over several stretches; others compare no positions."""
-    return rows[rows.groupby("setting")[POSITION].transform("nunique") > 1]
 
 
 def _slope_columns(rows: pd.DataFrame) -> Array:

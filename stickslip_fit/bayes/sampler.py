@@ -129,13 +129,7 @@ def _to_numbers(column: pd.Series[Any]) -> npt.NDArray[Any]:
 def r_hat(draws: Array) -> Array:
     """Rank-normalised split R-hat between ensembles (Vehtari et al., Bayesian Analysis 16:667, 2021).
 
-    Parameters
-    ----------
-    draws : array, shape (quantities, ensembles, steps, walkers)
-
-    Returns
-    -------
-    array, shape (quantities,)
+    Of draws as for `effective_sample_sizes`.
     """
     from arviz_stats.base import array_stats
 

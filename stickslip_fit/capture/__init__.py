@@ -1,3 +1,1 @@
 """Drive the joints, hear the end stop, lose nothing."""
-
-from __future__ import annotations

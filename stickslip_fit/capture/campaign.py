@@ -124,7 +124,8 @@ class Homing:
     def _place(self, joint: int, target: float, row: Row, setting: RigSetting) -> None:
         if joint in self.known and self._equal(joint, self.known[joint].position, target):
             return
-        low, high = self._stops(joint, setting)
+        stops_set = {number: (low, high) for number, low, high in setting.stops}
+        low, high = stops_set.get(joint, self.machine.ranges[joint])
         for stop in (low, high):
             if self._equal(joint, stop, target):
                 self._home(joint, stop, high if stop == low else low, row)
@@ -140,11 +141,6 @@ class Homing:
             self._count(joint, target, drive_row, predicted)
             uncertainty = COUNT_UNCERTAINTY * abs(target - nearest)
         self.known[joint] = _Place(target, uncertainty)
-
-    def _stops(self, joint: int, setting: RigSetting) -> tuple[float, float]:
-        """The joint's own stops, or those that the operator has set."""
-        stops_set = {number: (low, high) for number, low, high in setting.stops}
-        return stops_set.get(joint, self.machine.ranges[joint])
 
     def _home(self, joint: int, stop: float, other_stop: float, row: Row) -> None:
         place = self.known.get(joint, _Place(other_stop))

@@ -239,7 +239,8 @@ class ConsoleOutput:
 
     def show(self, text: str) -> None:
         """See `Operator.show`."""
-        self._clear()
+        if sys.stdout is not None and sys.stdout.isatty():
+            _write("\r\x1b[K")
         _write(f"{text}\n")
 
     def begin_drive(self, drive: PlannedDrive) -> None:
@@ -253,10 +254,6 @@ class ConsoleOutput:
         if sys.stdout.isatty() and self._checks % PROGRESS_INTERVAL == 0:
             about = f" of about {drive.expected.steps:,.0f}" if drive.expected.known else ""
             _write(f"\r\x1b[K  {steps:,}{about} steps, {detection.level:+.1f} dB")
-
-    def _clear(self) -> None:
-        if sys.stdout is not None and sys.stdout.isatty():
-            _write("\r\x1b[K")
 
 
 def _write(text: str) -> None:

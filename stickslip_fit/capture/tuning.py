@@ -93,8 +93,8 @@ def compute_limits(df: float, reference_df: float, rise: float, reference_rise: 
     return DetectionLimits(pair, single, masked, reference_rise)
 
 
-def pair_limit(df: float, alpha: float = FALSE_STOPS_PER_TRAVERSE / CHECKS_PER_TRAVERSE) -> float:
-    """Threshold that the mean of two consecutive checks, each capped, exceeds with probability `alpha`.
+def pair_limit(df: float) -> float:
+    """Threshold of the mean of two consecutive checks, each capped, for the rate of false stops.
 
     Examples
     --------
@@ -103,7 +103,7 @@ def pair_limit(df: float, alpha: float = FALSE_STOPS_PER_TRAVERSE / CHECKS_PER_T
     """
     from scipy import optimize
 
-    min_rise = power_quantile(SINGLE_CHECK_ALPHA, df)
+    alpha, min_rise = FALSE_STOPS_PER_TRAVERSE / CHECKS_PER_TRAVERSE, power_quantile(SINGLE_CHECK_ALPHA, df)
 
     def excess(limit: float) -> float:
         return float(np.log(pair_chance(limit, min_rise, df) / alpha))

@@ -83,11 +83,6 @@ class GenericCause(TableCause):
         return self.base_phrase + (", oppositely in the two directions" if self.direction else "")
 
     @property
-    def null_values(self) -> tuple[float, ...]:
-        """See `Cause`."""
-        return (0.0,) * len(self.parameters)
-
-    @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
         return (self.size,) * len(self.parameters)
@@ -409,22 +404,15 @@ class PositionDependence(ColumnDependence):
     )
     shows_best = "one slow sweep over the whole range, there and back"
     sentence = "The response depends on the position {column}{opposite}"
-
-    @property
-    def base_name(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
-        return "position"
-
-    @property
-    def remedy(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
-        return "staying in one part of the range"
+    base_name = "position"
+    remedy = "staying in one part of the range"
 
 
 @dataclass(frozen=True, kw_only=True)
 class DirectionOffset(AddedTerm):
     """d in one direction, -d in the other."""
 
+    base_name = "offset"
     base_phrase = "the response is not the same in both directions"
     physics = "Friction, play and hysteresis change their sign with the direction of motion."
     shows_best = "one condition in both directions, again and again"
@@ -433,11 +421,6 @@ class DirectionOffset(AddedTerm):
         "much where it is {backward}"
     )
     remedy = "always coming from the same side"
-
-    @property
-    def base_name(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
-        return "offset"
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]

@@ -48,7 +48,10 @@ class FormulaLawTable(TomlTable):
 
     def law(self) -> Law:
         """The law; InputError where there is none to be read."""
-        bounds = {name: _bounds(ends) for name, ends in self.bounds.items()}
+        bounds: dict[str, Any] = {  # the law checks that there are two
+            name: tuple(end if abs(end) < float("inf") else None for end in ends)
+            for name, ends in self.bounds.items()
+        }
         shared = self.shared if isinstance(self.shared, str) else tuple(self.shared)
         return Law(
             str(self.formula),
@@ -165,11 +168,6 @@ def read_law_file(path: str | Path) -> LawsAndCauses:
         causes=tuple(table.cause() for table in content.cause),
         roles={name: column for name, column in roles.items() if column is not None},
     )
-
-
-def _bounds(ends: list[float]) -> Any:
-    """Bounds of a law, which checks that there are two."""
-    return tuple(end if abs(end) < float("inf") else None for end in ends)
 
 
 def _refuse_faults(table: TomlTable, build: Any) -> None:

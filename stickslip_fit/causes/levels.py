@@ -266,12 +266,8 @@ class LevelDependence(LevelCause, AddedTerm):
 class ParametersByLevel(LevelCause):
     """The law's parameters are not the same at all values of a column of labels."""
 
+    sentence = "The law has other parameters where {column} is {others}, not {first}{how}"
     adds_to_simpler: ClassVar[bool] = True  # to offsets
-
-    @property
-    def sentence(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
-        return "The law has other parameters where {column} is {others}, not {first}{how}"
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]

@@ -10,7 +10,7 @@ import pandas as pd
 
 from stickslip_fit._format import format_duration
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.generic import AddedTerm, GenericCause, Term, linear_term
+from stickslip_fit.causes.generic import AddedTerm, CovariateCause, GenericCause, Term, linear_term
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter, Sizes
 from stickslip_fit.causes.smooth import harmonics
 from stickslip_fit.laws import Rows
@@ -20,10 +20,9 @@ MAX_PERIODS, MIN_VALUES_PER_PERIOD = 60, 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class PeriodicPosition(AddedTerm):
+class PeriodicPosition(CovariateCause, AddedTerm):
     """s sin(2 pi x / period) + c cos(2 pi x / period), x the position."""
 
-    column: str = ""
     low: float = 0.0
     period: float = 1.0
 
@@ -35,12 +34,6 @@ class PeriodicPosition(AddedTerm):
     )
     shows_best = "one slow sweep over many periods, there and back"
     sentence = "The response is periodic in the position {column}, with a period of {period:.4g}{opposite}"
-    combine_trials = True
-
-    @property
-    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
-        return (self.column,)
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]

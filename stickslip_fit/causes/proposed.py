@@ -254,10 +254,7 @@ class PeriodicTerm(SmoothTerm):
 def _only(group: Sequence[tuple[int, str]]) -> tuple[int | None, str | None]:
     """The joint and the direction that all of a group have; None for several or for all."""
     joints, ways = {joint for joint, _ in group}, {way for _, way in group}
-    return (
-        joints.pop() if len(joints) == 1 else None,
-        ways.pop() if len(ways) == 1 else None,
-    )
+    return (joints.pop() if len(joints) == 1 else None, ways.pop() if len(ways) == 1 else None)
 
 
 def _sign(state: State, mode: Mode) -> Array:

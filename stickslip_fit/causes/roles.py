@@ -101,7 +101,8 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
     frame = frame.set_axis(names, axis=1)
     places = frame[ROW_NUMBER] if ROW_NUMBER in names else np.arange(len(frame))
     frame = frame.set_axis(pd.Index(places), axis=0)
-    missing = {name: role for role, name in _columns_of(roles).items() if name not in names}
+    wanted = {name: role for role, name in roles.columns.items() if (role, name) != ("time", ORDER)}
+    missing = {name: role for name, role in wanted.items() if name not in names}
     issues += [_explain_unknown(name, f"is named as the {role}", names) for name, role in missing.items()]
     issues += [_explain_unknown(name, "is in the law", names) for name in numbers if name not in names]
     issues += [
@@ -117,7 +118,8 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
     cells = dict.fromkeys([*numbers, *([roles.position] if roles.position else [])])
     issues += [issue for name in cells for issue in find_bad_numbers(frame[name])]
     for name in filter(None, dict.fromkeys([roles.session, roles.group, roles.direction])):
-        issues += _find_empty(frame[name])
+        empty = frame[name].isna().to_numpy()
+        issues += _list_cells(frame[name], empty, "is empty; fill it in, or leave out its row")
     if roles.direction and not issues:
         issues += _check_direction(frame[roles.direction])
     seconds, time_issues = _read_time(frame, roles)
@@ -154,10 +156,6 @@ def _count_rows(rows: pd.DataFrame) -> pd.Series[Any]:
     return sessions.cumcount().astype(float)
 
 
-def _columns_of(roles: TableRoles) -> dict[str, str]:
-    return {role: name for role, name in roles.columns.items() if (role, name) != ("time", ORDER)}
-
-
 def _explain_unknown(name: str, where: str, names: list[str]) -> InputIssue:
     similar = mistyped_column(name, names) or next(iter(get_close_matches(name, names, 1, 0.5)), "")
     hint = f"did you mean {shorten(similar)}? " if similar else ""
@@ -175,10 +173,6 @@ def find_bad_numbers(cells: pd.Series[Any]) -> list[InputIssue]:
     else:
         numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float, na_value=np.nan)
     return _list_cells(cells, ~np.isfinite(numbers), "is no finite number; correct it, or leave out its row")
-
-
-def _find_empty(cells: pd.Series[Any]) -> list[InputIssue]:
-    return _list_cells(cells, cells.isna().to_numpy(), "is empty; fill it in, or leave out its row")
 
 
 def _list_cells(cells: pd.Series[Any], bad: BoolArray, message: str) -> list[InputIssue]:

@@ -13,14 +13,7 @@ import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause, FactorCause
-from stickslip_fit.causes.friction import (
-    FRICTION,
-    RAMP_TIME,
-    STEP,
-    VOLTAGE,
-    StageCause,
-    distinct_changes,
-)
+from stickslip_fit.causes.friction import FRICTION, RAMP_TIME, STEP, VOLTAGE, StageCause, distinct_changes
 from stickslip_fit.causes.parameters import (
     CauseParameter,
     Row,

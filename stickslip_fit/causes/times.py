@@ -56,7 +56,8 @@ def read_times(cells: pd.Series[Any]) -> Times:
         return Times(numbers, ~np.isfinite(numbers))
     if pd.api.types.is_timedelta64_dtype(cells):
         return Times(cells.dt.total_seconds().to_numpy(), cells.isna().to_numpy())
-    times = _to_seconds(pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601"))
+    moments = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601")
+    times = (moments - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(dtype=float)
     if np.isfinite(times).all():
         return Times(times, np.zeros(len(times), dtype=bool))
     texts = [cell.strip() if isinstance(cell, str) else str(cell) for cell in cells]
@@ -65,10 +66,6 @@ def read_times(cells: pd.Series[Any]) -> Times:
         if 2 * sum(match is not None for match in matches) > len(texts):
             return read(matches)
     return Times(times, ~np.isfinite(times))
-
-
-def _to_seconds(times: pd.Series[Any]) -> Array:
-    return (times - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(dtype=float)
 
 
 def _read_clock(matches: list[re.Match[str] | None]) -> Times:

@@ -151,10 +151,7 @@ def _least_detectable(changes: Changes) -> str:
 
 
 def _table(caption: str, shown: list[Change], changes: Changes, *, folded: bool = False) -> Table:
-    columns = (
-        *words("joint", "quantity"),
-        *numbers("old", "new", "difference"),
-    )
+    columns = (*words("joint", "quantity"), *numbers("old", "new", "difference"))
     note = (
         "Step size: mean over the configurations of a calibration, its difference in %. ± one standard error"
     )

@@ -338,12 +338,8 @@ def _make_change(quantity: _Quantity, difference: Difference, alpha: float) -> C
         counts,
         difference,
         significant,
-        _find_role(drive.law, quantity.name),
+        ROLES.get(quantity.name.split("_")[0], "") if is_published(drive.law) else "",
     )
-
-
-def _find_role(law: StepLaw, parameter: str) -> str:
-    return ROLES.get(parameter.split("_")[0], "") if is_published(law) else ""
 
 
 def _of_sizes(log_size: Difference) -> Difference:

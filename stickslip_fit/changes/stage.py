@@ -29,13 +29,7 @@ from stickslip_fit.diagnosis.stage_change import (
     friction_limited,
     weigh_changes,
 )
-from stickslip_fit.estimation.drive_ratio import (
-    HIGHEST,
-    LOWEST,
-    RatioProfile,
-    RatioSearch,
-    prior_shares,
-)
+from stickslip_fit.estimation.drive_ratio import HIGHEST, LOWEST, RatioProfile, RatioSearch, prior_shares
 from stickslip_fit.laws import is_published
 from stickslip_fit.laws.physical import FRICTION_LIMITED, POWERS, Physical, physical_law_with
 

@@ -66,9 +66,7 @@ Json = Annotated[Path | None, typer.Option("--json", help="Also save the result 
 Alpha = Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")]
 Seed = Annotated[int, typer.Option(min=0, help="Of the bootstrap.")]
 ReportPath = Annotated[
-    Path | None,
-    typer.Option("--report", help="Also show it as one HTML page here, with figures."),
-    Output(),
+    Path | None, typer.Option("--report", help="Also show it as one HTML page here, with figures."), Output()
 ]
 ExtendedLawPath = Annotated[
     Path | None,

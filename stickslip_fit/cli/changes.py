@@ -63,12 +63,7 @@ def changed(
 
 
 def compare_laws(
-    *,
-    log: LogPath,
-    machine: MachinePath = None,
-    sheet: Sheet = None,
-    json: Json = None,
-    display: Display,
+    *, log: LogPath, machine: MachinePath = None, sheet: Sheet = None, json: Json = None, display: Display
 ) -> None:
     """Compare the published laws with the physical ones: held-out errors, regime, and what would tell."""
     from stickslip_fit import law_comparison

@@ -200,13 +200,7 @@ def diagnose_table(
     from stickslip_fit.diagnosis import diagnose_table as diagnose
 
     file = load_table_law(law)
-    given = {
-        "session": session,
-        "time": time,
-        "position": position,
-        "direction": direction,
-        "group": group,
-    }
+    given = {"session": session, "time": time, "position": position, "direction": direction, "group": group}
     roles: dict[str, Any] = {**file.roles}
     roles |= {role: column for role, column in given.items() if column is not None}
     with show_progress() as progress:
@@ -263,9 +257,7 @@ def plan(
     source: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="LOG|PLAN",
-            parser=parse_path,
-            help="A campaign log, or the plan of a campaign (TOML).",
+            metavar="LOG|PLAN", parser=parse_path, help="A campaign log, or the plan of a campaign (TOML)."
         ),
         INPUT,
     ] = None,

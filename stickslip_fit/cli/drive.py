@@ -57,9 +57,7 @@ def drive(
     ] = 20.0,
     hold: Annotated[float, typer.Option(min=10.0, max=1000.0, help="How long a key moves it, ms.")] = 50.0,
     journal: Annotated[
-        Path | None,
-        typer.Option(help="Keep the position here, so that it survives a crash."),
-        Output(),
+        Path | None, typer.Option(help="Keep the position here, so that it survives a crash."), Output()
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from where the journal says the joints stand.")

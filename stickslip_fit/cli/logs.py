@@ -28,11 +28,7 @@ from stickslip_fit.cli._show import Display, show
 from stickslip_fit.cli.fit import select_named_causes
 
 
-def check(
-    *,
-    source: LogSource,
-    display: Display,
-) -> None:
+def check(*, source: LogSource, display: Display) -> None:
     """Check a log for faults and summarize it."""
     command = shlex.join(["stickslip-fit", "diagnose", *map(str, source.log)])
     following = f"What is wrong with it, if anything: {command}"

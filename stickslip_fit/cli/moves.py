@@ -137,12 +137,7 @@ def with_conditions(summary: Summary, result: Result, conditions: Mapping[str, f
     return replace(summary, sections=(*summary.sections, Section(paragraphs=(text,)))) if text else summary
 
 
-def accuracy_map(
-    *,
-    source: ArmSource,
-    chart: MapChart = None,
-    display: Display,
-) -> None:
+def accuracy_map(*, source: ArmSource, chart: MapChart = None, display: Display) -> None:
     """Compute how far from its goal a move may end, over the workspace."""
     from stickslip_fit.moves import map_accuracy
 

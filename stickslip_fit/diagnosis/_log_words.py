@@ -8,12 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._format import (
-    capitalize_first,
-    format_direction,
-    format_p_value,
-    format_percent,
-)
+from stickslip_fit._format import capitalize_first, format_direction, format_p_value, format_percent
 from stickslip_fit.causes import EndStopMisfire
 from stickslip_fit.causes.parameters import plain_description
 from stickslip_fit.diagnosis._noise_summary import describe_noise

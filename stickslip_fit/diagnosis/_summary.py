@@ -30,11 +30,7 @@ from stickslip_fit.causes import SizedParameter
 from stickslip_fit.diagnosis._log_words import LogWords
 from stickslip_fit.diagnosis._stage_summary import stage_sections
 from stickslip_fit.diagnosis._table_words import TableWords
-from stickslip_fit.diagnosis._unknown_summary import (
-    caption_parameters,
-    explains_tables,
-    name_findings,
-)
+from stickslip_fit.diagnosis._unknown_summary import caption_parameters, explains_tables, name_findings
 from stickslip_fit.diagnosis._words import Words, baseline_name, describe_proposals
 from stickslip_fit.diagnosis.experiments import find_inseparable_pairs
 from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, Finding, Gain, NextTraverse, TableInfo, shown_size

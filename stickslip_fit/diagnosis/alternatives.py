@@ -20,9 +20,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     make_hypothesis,
     split_sessions,
 )
-from stickslip_fit.diagnosis.linearized import (
-    LinearizedFit,
-)
+from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1, memory_alternatives
 from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
 from stickslip_fit.logs.log import number_configurations

@@ -26,11 +26,7 @@ from scipy.special import ndtri
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.restricted_likelihood import (
-    RestrictedLikelihood,
-    filter_tables,
-    order_samples,
-)
+from stickslip_fit.diagnosis.restricted_likelihood import RestrictedLikelihood, filter_tables, order_samples
 
 MAX_ORDER, ROWS_PER_ORDER = 10, 25  # rows with a predecessor for each coefficient
 SWING_ORDER = 2  # of noise that swings, which few rows are to tell from a strict period, too

@@ -30,13 +30,7 @@ from stickslip_fit.diagnosis.extension import (
 )
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis, compute_effects
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
-from stickslip_fit.diagnosis.misfit import (
-    UNKNOWN,
-    Misfit,
-    batch_hypotheses,
-    classify_cause,
-    weigh_hypotheses,
-)
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, batch_hypotheses, classify_cause, weigh_hypotheses
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
 

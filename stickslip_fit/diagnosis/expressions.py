@@ -25,12 +25,7 @@ from stickslip_fit.causes.proposed import (
 )
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.smooth_alternatives import (
-    MIN_SHARE,
-    Carrier,
-    find_carriers,
-    traverse_average,
-)
+from stickslip_fit.diagnosis.smooth_alternatives import MIN_SHARE, Carrier, find_carriers, traverse_average
 from stickslip_fit.logs.history import FURTHER_HISTORY
 
 WITHOUT_EXPRESSION = ("before_joint", "session_order")  # a label, and another clock

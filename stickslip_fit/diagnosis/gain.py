@@ -41,12 +41,7 @@ from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, detection_length, log_likelihood_ratio
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.selection import (
-    Selection,
-    allocate_alpha,
-    compute_cause_jacobian,
-    select_causes,
-)
+from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, compute_cause_jacobian, select_causes
 from stickslip_fit.logs.log import number_configurations
 from stickslip_fit.machine import Machine
 

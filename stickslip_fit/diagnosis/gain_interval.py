@@ -498,11 +498,7 @@ def prepare_split(basis: csr_array, split: Split, recolour: Recolouring = keep_c
 
 
 def predict_extension(
-    operators: SplitOperators,
-    columns: Array,
-    penalties: Array,
-    products: Array,
-    beyond: Array | None = None,
+    operators: SplitOperators, columns: Array, penalties: Array, products: Array, beyond: Array | None = None
 ) -> Array:
     """What causes sized by the training rows add to the held-out rows' prediction, whitened.
 

@@ -19,13 +19,7 @@ import pandas as pd
 from scipy.sparse import csr_array
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.diagnosis.linearized import (
-    LawBlock,
-    LinearizedFit,
-    select_filter,
-    split_positions,
-    whiten,
-)
+from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, select_filter, split_positions, whiten
 
 VARIANCE_TOL = 1e-6  # share of a hypothesis's variance below which a direction is left out
 EFFECT_TOL = 1e-6  # whitened norm; rounding noise of the projection

@@ -19,15 +19,8 @@ from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
-from stickslip_fit.diagnosis.extension import (
-    SelectedCause,
-    make_selected,
-)
-from stickslip_fit.diagnosis.hypotheses import (
-    VARIANCE_TOL,
-    Hypothesis,
-    make_hypothesis,
-)
+from stickslip_fit.diagnosis.extension import SelectedCause, make_selected
+from stickslip_fit.diagnosis.hypotheses import VARIANCE_TOL, Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.linearized import split_positions
 from stickslip_fit.diagnosis.memory import AR1, leave_out_rows, log_memory_evidence
 from stickslip_fit.diagnosis.misfit import (

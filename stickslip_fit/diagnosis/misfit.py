@@ -42,11 +42,7 @@ from scipy.sparse import csr_array
 from scipy.special import logsumexp, poch, softmax
 
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.diagnosis.hypotheses import (
-    DirectionGroup,
-    Hypothesis,
-    group_directions,
-)
+from stickslip_fit.diagnosis.hypotheses import DirectionGroup, Hypothesis, group_directions
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1, log_memory_evidence
 from stickslip_fit.diagnosis.noise_shape import Quantization
@@ -431,14 +427,7 @@ def compute_misfit(
                 null, share = heavy_tailed, its_share
     p_value = min(p_value_factor * share, 1.0)
     return Misfit(
-        linearized.residual,
-        tuple(hypotheses),
-        own,
-        by_cause,
-        p_value,
-        null,
-        p_value_factor,
-        linearized.basis,
+        linearized.residual, tuple(hypotheses), own, by_cause, p_value, null, p_value_factor, linearized.basis
     )
 
 

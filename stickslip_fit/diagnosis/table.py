@@ -31,10 +31,7 @@ from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
 from stickslip_fit.diagnosis.pipeline import diagnose_problem
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
-from stickslip_fit.diagnosis.table_alternatives import (
-    TableAlternatives,
-    response_columns,
-)
+from stickslip_fit.diagnosis.table_alternatives import TableAlternatives, response_columns
 from stickslip_fit.diagnosis.table_noise import with_samples
 from stickslip_fit.diagnosis.table_rows import (
     as_law,

@@ -27,11 +27,7 @@ from stickslip_fit.causes.table_terms import (
     ProposedTableTerm,
     SmoothTableTerm,
 )
-from stickslip_fit.diagnosis.alternatives import (
-    MAX_ELEMENTS,
-    choose_periods,
-    smooth_in_time,
-)
+from stickslip_fit.diagnosis.alternatives import MAX_ELEMENTS, choose_periods, smooth_in_time
 from stickslip_fit.diagnosis.expressions import Dictionary
 from stickslip_fit.diagnosis.hypotheses import (
     Hypothesis,

@@ -35,10 +35,7 @@ def find_unsupported(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def withdraw_causes(
-    selection: Selection,
-    findings: Sequence[Finding],
-    unsupported: Sequence[Finding],
-    info: DataInfo,
+    selection: Selection, findings: Sequence[Finding], unsupported: Sequence[Finding], info: DataInfo
 ) -> tuple[Selection, tuple[Finding, ...]]:
     """The selection and its findings with `unknown` for the unsupported ones.
 
@@ -53,11 +50,7 @@ def withdraw_causes(
     assert first.misfit is not None
     withdrawn.sort(key=lambda one: one.cause != first.cause)
     unknown = replace(
-        first,
-        cause=UNKNOWN,
-        version=None,
-        start=np.zeros(0),
-        cause_set=form_cause_set(first.misfit, UNKNOWN),
+        first, cause=UNKNOWN, version=None, start=np.zeros(0), cause_set=form_cause_set(first.misfit, UNKNOWN)
     )
     before = [one for one in findings if one.withdrawn]
     withdrawn += [one for finding in before for one in finding.withdrawn]

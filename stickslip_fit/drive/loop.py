@@ -25,13 +25,7 @@ from stickslip_fit.drive.advice import advise_homing
 from stickslip_fit.drive.diffusion import Burst, StepDiffusion
 from stickslip_fit.drive.record import BurstRecord
 from stickslip_fit.drive.state import DriveState, InputDevice, Screen, VelocityInput
-from stickslip_fit.drive.velocity import (
-    DAMPED_WITHIN,
-    Triple,
-    axis_distance,
-    joint_velocity,
-    tip_velocity,
-)
+from stickslip_fit.drive.velocity import DAMPED_WITHIN, Triple, axis_distance, joint_velocity, tip_velocity
 from stickslip_fit.errors import InputError
 from stickslip_fit.machine import forward
 from stickslip_fit.moves import DriveReckoning

@@ -25,13 +25,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from stickslip_fit._format import (
-    MISSING,
-    capitalize_first,
-    format_number,
-    format_value,
-    keep_units,
-)
+from stickslip_fit._format import MISSING, capitalize_first, format_number, format_value, keep_units
 from stickslip_fit.drive.page_server import PageContent, PageFiles, RefusalError, serve_page
 from stickslip_fit.drive.picture import ArmView, view_arm
 from stickslip_fit.drive.screen import format_advice, format_count, format_joint

@@ -170,12 +170,7 @@ def format_state(state: DriveState) -> list[str]:
 def format_line(state: DriveState) -> str:
     """The state of a drive in one line."""
     tip = ", ".join(format_number(float(x), "mm", 4) for x in state.tip)
-    parts = [
-        f"{state.time:.1f} s",
-        state.status,
-        f"tip ({tip}) mm",
-        f"within {format_um(state.tip_radius)}",
-    ]
+    parts = [f"{state.time:.1f} s", state.status, f"tip ({tip}) mm", f"within {format_um(state.tip_radius)}"]
     if state.advice is not None:
         parts.append(format_advice(state))
     return "  ".join([*parts, *state.limits, *([state.message] if state.message else [])])

@@ -55,6 +55,7 @@ class ScriptDevice:
         self._elapsed = 0.0
         self._last: float | None = None
         self._homed = -1
+        self._last_home = max((line for line, joint in enumerate(script.homes) if joint), default=-1)
 
     def read(self, now: float) -> VelocityInput:
         """See `InputDevice.read`."""
@@ -62,7 +63,7 @@ class ScriptDevice:
         if self._last is not None:
             self._elapsed += min(now - self._last, MAX_TICK)
         self._last = now
-        if self._elapsed >= script.times[-1] - SLACK and self._homed >= self._last_home():
+        if self._elapsed >= script.times[-1] - SLACK and self._homed >= self._last_home:
             return VelocityInput(ends=True)
         line = bisect_right(script.times, self._elapsed + SLACK) - 1
         for number in range(self._homed + 1, line + 1):
@@ -72,9 +73,6 @@ class ScriptDevice:
         if line < 0 or line == len(script.times) - 1 or not script.velocities[line].any():
             return VelocityInput()
         return VelocityInput(tip_velocity=script.velocities[line], valid_until=now + MAX_TICK)
-
-    def _last_home(self) -> int:
-        return max((number for number, joint in enumerate(self.script.homes) if joint), default=-1)
 
 
 def read_script(path: Path) -> VelocityScript:

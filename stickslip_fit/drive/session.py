@@ -206,14 +206,11 @@ def drive_real(job: DriveJob, port: str, dialect: str, device: str | None, tunin
             microphone = Microphone(device)
             opened.callback(microphone.close)
             detector = SequentialDetector(microphone, tuned)
-        controller = open_controller(port, dialect, _ignore, job.step_period)
+        # What the controller says unasked would break the screen; it answers every command anyway.
+        controller = open_controller(port, dialect, lambda message: None, job.step_period)
         opened.callback(controller.close)
         rig = DriveRig(controller, RealClock(), timing_of(dialect, job.step_period), detector)
         return summarize_drive(run_drive(job, rig, record, drive, inputs), job)
-
-
-def _ignore(message: str) -> None:
-    """What the controller says unasked would break the screen; it answers every command anyway."""
 
 
 def summarize_drive(state: DriveState, job: DriveJob) -> str:

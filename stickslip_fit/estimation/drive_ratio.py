@@ -19,13 +19,7 @@ from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, JointProblem, Pro
 from stickslip_fit.estimation.identifiability import identifiable_parameters
 from stickslip_fit.laws import Rows, StepLaw
 from stickslip_fit.laws.base import Model, float_column
-from stickslip_fit.laws.physical import (
-    DEEP,
-    FRICTION_LIMITED,
-    VELOCITY_LIMITED,
-    Physical,
-    physical_law_with,
-)
+from stickslip_fit.laws.physical import DEEP, FRICTION_LIMITED, VELOCITY_LIMITED, Physical, physical_law_with
 from stickslip_fit.machine import Machine
 
 LOWEST, HIGHEST = 0.1, 10.0  # of the prior

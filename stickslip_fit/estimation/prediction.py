@@ -17,25 +17,13 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.special import fdtrc, gammaincinv, stdtrit
 
-from stickslip_fit._format import (
-    coordinate_unit,
-    format_direction,
-    format_percent,
-    joint_name,
-    step_unit,
-)
+from stickslip_fit._format import coordinate_unit, format_direction, format_percent, joint_name, step_unit
 from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers, words
 from stickslip_fit.estimation.closed_form import solve_calibration
 from stickslip_fit.estimation.result import AxesArray, JointFit, Result, choose_repeatability, convert_table
 from stickslip_fit.estimation.reweighting import UNTIMED
 from stickslip_fit.estimation.with_causes import law_without_causes
-from stickslip_fit.laws import (
-    StepLaw,
-    constant_law,
-    expected_steps,
-    rounding_variance,
-    traverse_length,
-)
+from stickslip_fit.laws import StepLaw, constant_law, expected_steps, rounding_variance, traverse_length
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import position_columns
 from stickslip_fit.machine import Machine

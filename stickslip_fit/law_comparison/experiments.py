@@ -52,11 +52,7 @@ class Experiment:
 
 
 def list_experiments(
-    joint: int,
-    rows: pd.DataFrame,
-    machine: Machine,
-    profiles: Mapping[str, RatioProfile],
-    scatter: float,
+    joint: int, rows: pd.DataFrame, machine: Machine, profiles: Mapping[str, RatioProfile], scatter: float
 ) -> tuple[Experiment, ...]:
     """Experiments of each direction, the one that tells soonest first."""
     found = []

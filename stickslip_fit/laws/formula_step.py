@@ -168,14 +168,8 @@ class FormulaStepLaw(StepLaw):
             For a function that cannot be imported by a name.
         """
         fields = (
-            "joint",
-            "slides",
-            "columns",
-            "max_panel",
-            "typical_step",
-            "typical",
-            "sizes",
-            "proportional",
+            *("joint", "slides", "columns", "max_panel"),
+            *("typical_step", "typical", "sizes", "proportional"),
         )
         return {
             "name": self.name,

@@ -217,10 +217,7 @@ def _echelon(rows: Array) -> Array:
 
 
 def _explain(
-    names: Sequence[str],
-    nulls: tuple[Array, Array],
-    jacobians: Sequence[Array],
-    points: tuple[Array, Array],
+    names: Sequence[str], nulls: tuple[Array, Array], jacobians: Sequence[Array], points: tuple[Array, Array]
 ) -> str:
     """What is determined of the parameters that a direction changes together; all at two points."""
     first, second = (

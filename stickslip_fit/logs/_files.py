@@ -132,12 +132,7 @@ def open_parquet(raw: bytes, file: str, issues: IssueCollector) -> ParquetTable 
     return ParquetTable(file, tuple(schema.names), tuple(schema.types), raw, source.metadata)
 
 
-_NUMBER_TYPES = (
-    pa.types.is_integer,
-    pa.types.is_floating,
-    pa.types.is_decimal,
-    pa.types.is_null,
-)
+_NUMBER_TYPES = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_null)
 _TEXT_TYPES = (
     pa.types.is_string,
     pa.types.is_large_string,

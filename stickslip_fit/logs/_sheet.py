@@ -26,9 +26,6 @@ from stickslip_fit.logs.schema import holds_numbers, is_known
 
 _WORKBOOK = re.compile(rb"PK\x03\x04(?s:.{0,4000})(\[Content_Types\]|xl/)")
 MAX_UNPACKED = 2**31  # bytes; a sheet of 1,048,576 rows has fewer
-_MISSING_READER = (
-    "is an Excel workbook; install openpyxl to read it (pip install openpyxl), or save it as CSV"
-)
 
 
 @dataclass(frozen=True)
@@ -157,11 +154,8 @@ def _open_sheet(
     raw: bytes, file: str, sheet: str | None, issues: IssueCollector
 ) -> tuple[str, list[str], Iterator[tuple[Any, ...]]] | None:
     """The sheet's name, those of the others, and its rows of values."""
-    try:
-        import openpyxl
-    except ModuleNotFoundError:
-        issues.add(file, _MISSING_READER)
-        return None
+    import openpyxl
+
     try:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
             unpacked = sum(part.file_size for part in archive.infolist())

@@ -20,7 +20,7 @@ MAX_PASSES, DEPARTURE_TOL = 30, 1e-9  # of laws that follow departures
 CLOSE_IN_TIME = 1e-3  # s
 
 
-def add_history(rows: pd.DataFrame, machine: Machine | None = None) -> pd.DataFrame:
+def add_history(rows: pd.DataFrame) -> pd.DataFrame:
     """Add the history columns to the rows of a whole log.
 
     Rows of every status count, since each wore the joint and left its load.
@@ -28,9 +28,8 @@ def add_history(rows: pd.DataFrame, machine: Machine | None = None) -> pd.DataFr
     Parameters
     ----------
     rows : DataFrame
-        Sorted by time; session, time, joint, direction, steps, q1, q2, theta, psi, start, stop.
-    machine : Machine, optional
-        One of the published geometry if not given; else the load of a traverse is not known.
+        Of an arm of the published geometry, sorted by time; session, time, joint, direction, steps, q1, q2,
+        theta, psi, start, stop.
 
     Returns
     -------
@@ -39,7 +38,7 @@ def add_history(rows: pd.DataFrame, machine: Machine | None = None) -> pd.DataFr
     """
     driven = steps_before(rows["joint"].to_numpy(), rows["steps"].to_numpy())
     session, _ = pd.factorize(rows["session"])
-    return add_session_history(rows, session, machine).assign(steps_before=driven)
+    return add_session_history(rows, session).assign(steps_before=driven)
 
 
 def add_session_history(

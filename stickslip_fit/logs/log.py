@@ -376,10 +376,7 @@ def summarize_log(log: Log) -> Summary:
         headline=(f"{_describe_rows(log)} From {files}{f' and {more:,} more' if more > 0 else ''}.",),
         sections=(Section(tables=tuple(table for table in tables if table and table.rows)),),
         flags=(*changed, *log.notes),
-        provenance=(
-            *log.provenance,
-            (f"machine {log.machine.name}", f"sha256 {log.machine.sha256}"),
-        ),
+        provenance=(*log.provenance, (f"machine {log.machine.name}", f"sha256 {log.machine.sha256}")),
     )
 
 

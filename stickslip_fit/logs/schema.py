@@ -284,7 +284,9 @@ def match_columns(
         message = repeated or explain_bad_unit(name, form) or type_faults.get(name)
         if message:
             issues.add(file, message, line, name)
-            intended |= _intended_fields(name, form)
+            # What the column was meant for is not called missing too.
+            stems = (name, name.rpartition("_")[0])
+            intended |= {meant.name for meant in form.fields if meant.stem in stems}
         elif _ROW_LABELS.fullmatch(name):
             notes.append(f"{file}: column {name} holds pandas' row labels and is left out")
         elif field is None:
@@ -343,11 +345,6 @@ def explain_bad_unit(name: str, form: LogFormat = ARM_FORMAT) -> str | None:
 def _unit_choices(stem: str, form: LogFormat) -> str:
     spellings = [spelling for spelling, field in form.by_spelling.items() if field.stem == stem]
     return " or ".join([", ".join(spellings[:-1])] * (len(spellings) > 1) + spellings[-1:])
-
-
-def _intended_fields(name: str, form: LogFormat) -> set[str]:
-    """Fields that a column with a bad name was meant for, which are then not called missing too."""
-    return {field.name for field in form.fields if field.stem in (name, name.rpartition("_")[0])}
 
 
 def _spelling_hint(field: Field, unknown: list[str], form: LogFormat) -> str:

@@ -121,11 +121,7 @@ def gravity_scale(machine: Machine, q: npt.ArrayLike, g: float = STANDARD_GRAVIT
 
 
 def gravity_forces(
-    machine: Machine,
-    q: npt.ArrayLike,
-    theta: npt.ArrayLike,
-    psi: npt.ArrayLike,
-    g: float = STANDARD_GRAVITY,
+    machine: Machine, q: npt.ArrayLike, theta: npt.ArrayLike, psi: npt.ArrayLike, g: float = STANDARD_GRAVITY
 ) -> Array:
     """The joint forces that balance gravity, G = dV/dq: `gravity_scale` times `full_load`.
 
@@ -186,11 +182,7 @@ def joint_forces(machine: Machine, q: npt.ArrayLike, tip_force: npt.ArrayLike) -
 
 
 def tip_load(
-    machine: Machine,
-    joint: int,
-    q: npt.ArrayLike,
-    tip_force: npt.ArrayLike,
-    g: float = STANDARD_GRAVITY,
+    machine: Machine, joint: int, q: npt.ArrayLike, tip_force: npt.ArrayLike, g: float = STANDARD_GRAVITY
 ) -> Array:
     """A force on the tip as a load on one joint, on the scale of `full_load` and to be added to it.
 

@@ -93,8 +93,7 @@ class RotaryTable(JointTable, extra="forbid"):
 
     kind: Annotated[Literal["rotary"], KIND]
     range: Annotated[
-        Ends,
-        Quantity(("deg", "rad"), (-MAX_TURNS, MAX_TURNS), "give [lowest, highest] within 100 turns"),
+        Ends, Quantity(("deg", "rad"), (-MAX_TURNS, MAX_TURNS), "give [lowest, highest] within 100 turns")
     ]
     """Lowest and highest position between the mechanical stops; may be more than a turn."""
 

@@ -85,10 +85,7 @@ class DriveReckoning:
     """
 
     def __init__(
-        self,
-        arm: CalibratedArm | Result,
-        start: npt.ArrayLike,
-        start_error: npt.ArrayLike = (0.0, 0.0, 0.0),
+        self, arm: CalibratedArm | Result, start: npt.ArrayLike, start_error: npt.ArrayLike = (0.0, 0.0, 0.0)
     ) -> None:
         self.arm = as_calibrated_arm(arm)
         q, error = np.asarray(start, float), np.asarray(start_error, float)

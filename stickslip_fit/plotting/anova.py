@@ -10,13 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from stickslip_fit._format import (
-    format_direction,
-    join_words,
-    joint_name,
-    pluralize,
-    typeset_text,
-)
+from stickslip_fit._format import format_direction, join_words, joint_name, pluralize, typeset_text
 from stickslip_fit.anova import FactorTest
 from stickslip_fit.errors import InputError, shorten
 from stickslip_fit.plotting._style import (

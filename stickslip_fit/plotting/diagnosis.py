@@ -227,10 +227,11 @@ def plot_diagnosis(diagnosis: Diagnosis) -> Figure:
         return plot_columns(diagnosis, diagnosis.table)
     comparison = compare_residuals(diagnosis.selection, diagnosis.seed)
     joint = int(comparison.rows["joint"].mode()[0])
-    return draw_residuals_overview(joint, comparison, _machine_of(diagnosis))
+    return draw_residuals_overview(joint, comparison, machine_of(diagnosis))
 
 
-def _machine_of(diagnosis: Diagnosis) -> Machine:
+def machine_of(diagnosis: Diagnosis) -> Machine:
+    """The manipulator of its log; the nominal one without a log."""
     return load_machine() if diagnosis.log is None else diagnosis.log.machine
 
 
@@ -252,7 +253,7 @@ def plot_residuals(diagnosis: Diagnosis, finding: int) -> Figure:
     if diagnosis.table is not None:
         return draw_table_finding(diagnosis, diagnosis.table, chosen, selected, comparison)[1]
     shape = finding_shape(diagnosis.selection, selected)
-    return draw_finding(chosen, selected, shape, comparison, _machine_of(diagnosis))[1]
+    return draw_finding(chosen, selected, shape, comparison, machine_of(diagnosis))[1]
 
 
 MAX_RATE, DARK_RATE = 0.5, 0.3  # a toss of a coin; white numbers from there on

@@ -8,13 +8,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from stickslip_fit._format import (
-    coordinate_unit,
-    format_direction,
-    format_percent,
-    join_words,
-    joint_name,
-)
+from stickslip_fit._format import coordinate_unit, format_direction, format_percent, join_words, joint_name
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.profile import Profile, compute_profiles, has_profile
 from stickslip_fit.machine import Machine

@@ -288,11 +288,7 @@ def draw_finding(
 
 
 def _find_carrier_values(
-    selected: SelectedCause,
-    shape: Array,
-    comparison: ResidualComparison,
-    subset: BoolArray,
-    machine: Machine,
+    selected: SelectedCause, shape: Array, comparison: ResidualComparison, subset: BoolArray, machine: Machine
 ) -> tuple[str, Array]:
     """The quantity that carries a finding: its label and values."""
     assert selected.misfit is not None

@@ -217,10 +217,7 @@ ZETA_ALONG = Sweep(
     along=True,
 )
 Q1_ALONG = Sweep(
-    "q1 at the middle of the interval",
-    lambda rows: rows["centre"].to_numpy(float),
-    _move_centre,
-    along=True,
+    "q1 at the middle of the interval", lambda rows: rows["centre"].to_numpy(float), _move_centre, along=True
 )
 
 

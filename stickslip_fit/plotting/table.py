@@ -89,12 +89,8 @@ def _collect(diagnosis: Diagnosis, table: TableInfo) -> _TableRows:
     roles, used = table.roles, [name for name in getattr(law, "columns", ()) if name != table.response]
     names = [roles.get("position", ""), *used, *map(str, rows.columns)]
     hidden = {
-        "joint",
-        "session_seconds",
-        ROW_NUMBER,
-        roles.get("session"),
-        roles.get("group"),
-        roles.get("time"),
+        *("joint", "session_seconds", ROW_NUMBER),
+        *(roles.get(role) for role in ("session", "group", "time")),
     }
     hidden |= {table.response, *getattr(getattr(law, "left", None), "names", ())}
     columns: dict[str, Array] = {}

@@ -70,11 +70,7 @@ def configuration_table(summary: pd.DataFrame, machine: Machine) -> Table:
     joint = int(summary["joint"].iloc[0])
     shown, unit = summary.head(MAX_CONFIGURATIONS), step_unit(joint, machine)
     body = (
-        (
-            format_configuration(row, machine),
-            format_direction(row["direction"]),
-            *_error_cells(row, unit),
-        )
+        (format_configuration(row, machine), format_direction(row["direction"]), *_error_cells(row, unit))
         for row in shown.to_dict("records")
     )
     note = (

@@ -14,9 +14,8 @@ from stickslip_fit.diagnosis._unknown_summary import name_findings
 from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.residuals import ResidualComparison, compare_residuals, finding_shape
 from stickslip_fit.estimation._table_summary import describe_fit, parameters_table
-from stickslip_fit.machine import Machine, load_machine
 from stickslip_fit.plotting._svg import Picture
-from stickslip_fit.plotting.diagnosis import confusion_picture, gain_picture, ranking_picture
+from stickslip_fit.plotting.diagnosis import confusion_picture, gain_picture, machine_of, ranking_picture
 from stickslip_fit.plotting.residuals import finding_picture, residuals_overview_picture
 from stickslip_fit.plotting.table import columns_picture, finding_pictures, measured_picture
 
@@ -37,7 +36,7 @@ def make_diagnosis_section(diagnosis: Diagnosis, command: str = "") -> Summary:
     if table is not None:
         pictures = [*finding_pictures(diagnosis, table), columns_picture(diagnosis, table)]
     else:
-        comparison, machine = number_residuals(diagnosis), _machine_of(diagnosis)
+        comparison, machine = number_residuals(diagnosis), machine_of(diagnosis)
         joints = sorted(comparison.rows["joint"].unique())
         pictures = list(_finding_pictures(diagnosis, comparison))
         pictures += [residuals_overview_picture(int(joint), comparison, machine) for joint in joints]
@@ -66,13 +65,9 @@ def _law_section(diagnosis: Diagnosis, table: TableInfo, command: str) -> Sectio
     )
 
 
-def _machine_of(diagnosis: Diagnosis) -> Machine:
-    return load_machine() if diagnosis.log is None else diagnosis.log.machine
-
-
 def _finding_pictures(diagnosis: Diagnosis, comparison: ResidualComparison) -> Iterator[Picture]:
     """Residuals before and after each finding that has a shape."""
-    machine = _machine_of(diagnosis)
+    machine = machine_of(diagnosis)
     for finding in diagnosis.findings:
         cause = diagnosis.selection.behind(finding)
         if cause.misfit is not None:

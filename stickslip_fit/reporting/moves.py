@@ -143,10 +143,7 @@ def summarize_predictions(result: Result, plan: Plan, predicted: pd.DataFrame) -
         )
         for _, row in pd.concat([rows, predicted], axis=1).iterrows()
     )
-    columns = (
-        *words("session", "joint", "configuration"),
-        *numbers("steps", "95 % of counts", "step size"),
-    )
+    columns = (*words("session", "joint", "configuration"), *numbers("steps", "95 % of counts", "step size"))
     table = Table("Predicted counts", columns, cells, stubs=3, short=ON_SCREEN)
     return Summary(
         plan.name,

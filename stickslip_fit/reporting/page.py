@@ -24,12 +24,7 @@ from stickslip_fit.diagnosis._methods import describe_methods, list_references
 from stickslip_fit.diagnosis._unknown_summary import name_findings
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation import (
-    Result,
-    fit_closed_form,
-    fit_least_squares,
-    held_out_errors,
-)
+from stickslip_fit.estimation import Result, fit_closed_form, fit_least_squares, held_out_errors
 from stickslip_fit.estimation._optimize import usable_rows
 from stickslip_fit.estimation.closed_form import solve_calibration
 from stickslip_fit.estimation.load_coefficient import tabulate_load_coefficients
@@ -158,7 +153,8 @@ def report(
         )
     if comparison is None and "strategies" in sections:
         progress("comparing strategies", 0.7)
-        common = _common_findings(found)
+        # What extends the law alike in all sessions, so that a session's is known from the others.
+        common = [one for one in _extending(found) if not getattr(one.version, "sessions", ())]
         known = [*causes, *(finding.version for finding in common)]
         compared = _try_section(lambda: _compare_strategies(log, laws, known, command))
     progress("fitting and drawing", 0.9)
@@ -235,11 +231,6 @@ class _Results:
 def _extending(found: object) -> list[Finding]:
     """Findings that extend the law."""
     return [one for one in found.findings if one.version] if isinstance(found, Diagnosis) else []
-
-
-def _common_findings(found: object) -> list[Finding]:
-    """Findings that extend the law alike in all sessions, so that a session's are known from the others."""
-    return [one for one in _extending(found) if not getattr(one.version, "sessions", ())]
 
 
 def _render(results: _Results, command: str, *, figures: bool) -> str:

@@ -10,7 +10,7 @@ from stickslip_fit.simulation.campaign import (
 from stickslip_fit.simulation.schedule import ByColumn, Schedule, Since, WithUse
 from stickslip_fit.simulation.stage_law import MountedStage, StageLaw
 from stickslip_fit.simulation.stage_tables import SimulatedColumn
-from stickslip_fit.simulation.truth import LawValues, parameter_key, read_law_values
+from stickslip_fit.simulation.truth import LawValues, read_law_values
 from stickslip_fit.simulation.truth_table import true_steps
 
 __all__ = [
@@ -24,7 +24,6 @@ __all__ = [
     "WithUse",
     "draw_noise",
     "expected_counts",
-    "parameter_key",
     "read_law_values",
     "simulate",
     "simulate_counts",

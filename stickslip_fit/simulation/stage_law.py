@@ -170,16 +170,12 @@ class StageLaw(StepLaw):
             return mass, STANDARD_GRAVITY * mass
         gain = self._arm.inertia_weight(q2, q3)
         assert gain is not None
-        lever = (self.machine.l2 + q3 if self.joint == 2 else self.machine.a1 + self._reach(q2, q3)) / (
-            mounted.radius
-        )
+        length = self.machine.l2 + q3 if self.joint == 2 else self.machine.a1 + reach(self.machine, q2, q3)
+        lever = length / mounted.radius
         weights = self._arm.share_weights(q2, q3)
         share = sum(weight * value for weight, value in zip(weights, mounted.shares, strict=True))
         mass = stage.mass * (1.0 + mounted.inertia * gain) + payload * lever**2
         return mass, share * stage.contact.friction + STANDARD_GRAVITY * payload * lever
-
-    def _reach(self, q2: Array, q3: Array) -> Array:
-        return reach(self.machine, q2, q3)
 
     @cached_property
     def _arm(self) -> PhysicalElbow | PhysicalBase:

@@ -277,10 +277,7 @@ def _of_joint(joint: int) -> type[StageTable]:
     else:
         radius, inertia, *shares = _ROTARY[joint]
         meaning = "Of the contact about the joint's axis: turns lengths into angles."
-        fields[radius] = (
-            Annotated[float, Quantity(("mm", "m"), (1e-4, 1.0))],
-            Field(description=meaning),
-        )
+        fields[radius] = (Annotated[float, Quantity(("mm", "m"), (1e-4, 1.0))], Field(description=meaning))
         meaning = "Gained over the arm's range, as a share; the stage's mass is what moves at its beginning."
         fields[inertia] = (
             Annotated[float, Quantity(("1",), (INERTIA[0], 10.0))],

@@ -27,13 +27,7 @@ from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes import Cause, CauseParameter, Covariate, ExtendedLaw, library
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Base, Elbow, Parameter, Prismatic, StepLaw
-from stickslip_fit.laws.physical import (
-    Physical,
-    PhysicalBase,
-    PhysicalElbow,
-    PhysicalPrismatic,
-    Ratios,
-)
+from stickslip_fit.laws.physical import Physical, PhysicalBase, PhysicalElbow, PhysicalPrismatic, Ratios
 from stickslip_fit.logs.plan_reader import JOINT, Joint
 from stickslip_fit.logs.reader import DIRECTIONS
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
@@ -252,20 +246,6 @@ class LawValues:
                 f"{row['session']!r}; add a [[law]] for it to the law file"
             )
         return values, shared
-
-
-def parameter_key(parameter: Parameter) -> str:
-    """The TOML key of a parameter: its name with its unit, written once where the name ends in it.
-
-    Examples
-    --------
-    >>> [parameter_key(parameter) for parameter in Prismatic.parameters]
-    ['a_nm', 'b', 'c_nm']
-    >>> [parameter_key(parameter) for parameter in Base.parameters]
-    ['gamma0_reach_0_urad', 'gamma0_urad_per_mm', 'd_reach_0_urad', 'd_urad_per_mm']
-    """
-    (key,) = Quantity((parameter.unit,)).keys(_parameter_stem(parameter))
-    return key
 
 
 def _parameter_stem(parameter: Parameter) -> str:

@@ -97,10 +97,7 @@ def make_motion(
     forward = {
         "ramp": [(t_1, zero, speed, zero)],
         "parabola": [(t_1, zero, zero, 2 * speed / t_1)],
-        "s-curve": [
-            (t_1 / 2, zero, zero, 4 * speed / t_1),
-            (t_1 / 2, d / 2, 2 * speed, -4 * speed / t_1),
-        ],
+        "s-curve": [(t_1 / 2, zero, zero, 4 * speed / t_1), (t_1 / 2, d / 2, 2 * speed, -4 * speed / t_1)],
     }[name]
     with np.errstate(divide="ignore"):
         back = np.where(t_f > 0, -d / t_f, 0.0)

@@ -195,10 +195,7 @@ class StageFile(TomlTable):
             if foot.mass is None and name in foot.fields_in_file():
                 yield "give the foot's mass with it", ("foot", self._key(foot, name))
         if base.mass is None and base.fields_in_file():
-            yield (
-                "give the base's mass with it",
-                ("base", self._key(base, base.fields_in_file()[0])),
-            )
+            yield ("give the base's mass with it", ("base", self._key(base, base.fields_in_file()[0])))
         if base.mass is not None and foot.mass is None:
             yield (
                 "a base recoils from the foot's mass too; give it under [foot]",

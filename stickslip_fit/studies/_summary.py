@@ -85,7 +85,8 @@ def _joint_table(study: SimulationStudy, joint: int) -> Table:
         Column("rms", unit),
         *numbers("held", "failed", unit="%"),
     )
-    rows = tuple(_cells(row, unit) for _, row in _rows_of_joint(study.accuracy(), joint).iterrows())
+    table = study.accuracy()
+    rows = tuple(_cells(row, unit) for _, row in table[table["joint"] == joint].iterrows())
     return Table(f"Strategies for {joint_name(joint, study.plan.machine)}", columns, rows, stubs=2)
 
 
@@ -169,7 +170,8 @@ def _sufficient(study: SimulationStudy, joint: int) -> tuple[pd.DataFrame, dict[
     That is judged by the upper end of the rms error's 95 % interval; with one campaign, which has no
     interval, by the rms error.
     """
-    table = _rows_of_joint(study.accuracy(), joint)
+    table = study.accuracy()
+    table = table[table["joint"] == joint]
     sufficient = table[_upper_rms(table) <= study.plan.good_enough].sort_values("seconds", kind="stable")
     return table, {
         name: list(sufficient.loc[sufficient["scenario"] == name, "strategy"]) for name in study.scenarios
@@ -257,7 +259,3 @@ def _describe_undercoverage(table: pd.DataFrame, study: SimulationStudy) -> list
         if lowest[scenario] < MIN_COVERAGE
     ]
     return [f"Stated 95 % intervals hold the truth too rarely with {'; '.join(low)}."] if low else []
-
-
-def _rows_of_joint(table: pd.DataFrame, joint: int) -> pd.DataFrame:
-    return table[table["joint"] == joint]

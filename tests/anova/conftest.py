@@ -1,21 +1,19 @@
 """Logs of constant steps, made by hand: what a factor does is put in and nothing else."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.logs import Log, read_log
+from stickslip_fit.logs import Log
 
 Reading = tuple[str, str, float, float]
 """Session, direction, theta in deg, step size in nm."""
 
 
 @pytest.fixture
-def log_of_readings(tmp_path) -> Callable[..., Log]:
+def log_of_readings(read_table) -> Callable[..., Log]:
     """A log of joint 3 at q2 = -90 degrees with exactly counted steps."""
 
     def make(readings: Sequence[Reading], stretch_mm: float = 12.0, pause_s: float = 300.0) -> Log:
@@ -32,9 +30,7 @@ def log_of_readings(tmp_path) -> Callable[..., Log]:
                     "check_every": 1,
                 }
             )  # fmt: skip
-        path = tmp_path / "made.csv"
-        pd.DataFrame(rows).to_csv(path, index=False)
-        return read_log(path)
+        return read_table(pd.DataFrame(rows))
 
     return make
 

@@ -1,7 +1,5 @@
 """The three questions asked of logs: which readings, against which error, and what cannot be answered."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 

@@ -1,19 +1,12 @@
 """Checks of premises: silent where they hold, loud where they fail, and honest where nothing can be told."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from stickslip_fit.anova.factor_test import (
-    ASSUMPTION_LEVEL,
-    brown_forsythe,
-    check_assumptions,
-    monte_carlo_p,
-)
+from stickslip_fit.anova.factor_test import ASSUMPTION_LEVEL, brown_forsythe, check_assumptions, monte_carlo_p
 
 LOGS = 100
 

@@ -1,7 +1,5 @@
 """Error rates: false alarms of each named analysis, power, and intervals that know of their selection."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """What the sentences say follows the adjusted p-values, and names what was compared."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """A formula is parsed and never evaluated; the terms are those of patsy, R's notation."""
 
-from __future__ import annotations
-
 import random
 import re
 import time

@@ -1,7 +1,5 @@
 """NIST's 11 analyses of variance, as far as the doubles of their data allow."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

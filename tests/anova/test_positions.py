@@ -1,7 +1,5 @@
 """Position as a factor: F and p as statsmodels has them, what is found, and what cannot be asked."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,7 +10,6 @@ from stickslip_fit.anova.contrasts import _studentized_range_quantile, f_test_po
 from stickslip_fit.anova.position import analyze_positions
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log
-from stickslip_fit.machine import load_machine
 
 MACHINE = """
 name = "two turntables"
@@ -27,10 +24,8 @@ DAYS = ("Mon", "Tue", "Wed", "Thu")
 
 
 @pytest.fixture(scope="module")
-def machine(tmp_path_factory):
-    path = tmp_path_factory.mktemp("machine") / "machine.toml"
-    path.write_text(MACHINE, "utf-8")
-    return load_machine(path)
+def machine(machine_of):
+    return machine_of(MACHINE)
 
 
 def observe(seed=0, *, days=DAYS, places=6, replicates=2, size=lambda day, sign, x: 0.0, ends=None):

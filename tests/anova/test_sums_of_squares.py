@@ -1,7 +1,5 @@
 """Tables of unbalanced models, against exact arithmetic."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """Variance components, against the likelihood written out whole, and intervals against known truths."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

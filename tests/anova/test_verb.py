@@ -1,14 +1,11 @@
 """`stickslip-fit anova` as a person uses it."""
 
-from __future__ import annotations
-
 import json
-import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from stickslip_fit import cli
 from stickslip_fit.anova.analysis import RECORD_COLUMNS
 
 ROOT = Path(__file__).parents[2]
@@ -17,15 +14,8 @@ CAMPAIGNS = ROOT.parent / "shared" / "data" / "campaigns"
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["stickslip-fit", "anova", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        printed = capsys.readouterr()
-        return int(ended.value.code or 0), printed.out, printed.err
-
-    return call
+def run(run):
+    return partial(run, "anova")
 
 
 def test_the_answer_comes_first_and_the_json_holds_it(run, tmp_path):

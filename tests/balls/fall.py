@@ -1,7 +1,5 @@
 """Free fall as a law of a table, and what a ball's fall or its film may have besides."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import stickslip_fit as ssf

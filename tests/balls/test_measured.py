@@ -4,31 +4,17 @@ Linear drag alone is the best first step, and after it nothing more would be fou
 because the search also asks whether another drag, with another cause beside it, is likelier.
 """
 
-from __future__ import annotations
-
 import numpy as np
-import pandas as pd
 import pytest
 
 import stickslip_fit as ssf
-from benchmarks.ball_drops import fit_by_scipy
+from benchmarks.ball_drops import fit_by_scipy, read_frames
 from tests.balls.fall import LAW, SLANT, drags
-from tests.docs.commands import ROOT
 
 
 @pytest.fixture(scope="module")
 def frames():
-    """A row for each frame, without the last one of each drop, which may show the impact."""
-    frames = pd.read_csv(ROOT / "data" / "ball_drops" / "drops.csv")
-    frames = frames[frames.groupby(["ball", "drop"]).cumcount(ascending=False) > 0]
-    return pd.DataFrame(
-        {
-            "ball": frames["ball"],
-            "run": frames["ball"] + " " + frames["drop"].astype(str),
-            "seconds": frames["time_s"],
-            "height": frames["height_m"],
-        }
-    ).reset_index(drop=True)
+    return read_frames()
 
 
 @pytest.mark.nightly

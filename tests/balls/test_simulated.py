@@ -1,7 +1,5 @@
 """Drops whose truth is known: what is hidden is named, what cannot be told apart is said to be so."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -59,17 +57,12 @@ def test_falls_are_those_of_an_integrator(name):
         assert heights == pytest.approx(fall(release, velocity, ACCELERATIONS[name]), abs=1e-4)
 
 
-def false_alarms(number, alpha):
-    return sum(diagnose(filmed(lambda _: -G, seed), alpha=alpha).p_value < alpha for seed in range(number))
-
-
-def test_free_fall_is_nothing_wrong():
-    assert false_alarms(4, 0.05) <= binom.ppf(0.999, 4, 0.05)
-
-
-@pytest.mark.nightly
-def test_free_fall_is_nothing_wrong_at_the_stated_rate():
-    assert false_alarms(400, 0.01) <= binom.ppf(0.99, 400, 0.01)
+@pytest.mark.parametrize(
+    ("number", "alpha", "level"), [(4, 0.05, 0.999), pytest.param(400, 0.01, 0.99, marks=pytest.mark.nightly)]
+)
+def test_free_fall_is_nothing_wrong(number, alpha, level):
+    found = [diagnose(filmed(lambda _: -G, seed), alpha=alpha).p_value < alpha for seed in range(number)]
+    assert sum(found) <= binom.ppf(level, number, alpha)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """One joint and direction with known truth under each published law, and a law that is exactly linear."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

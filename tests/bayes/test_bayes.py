@@ -1,7 +1,5 @@
 """The fit of a whole log: what it returns, what it refuses, and what it says of poor input."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

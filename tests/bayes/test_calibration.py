@@ -1,7 +1,5 @@
 """Simulation-based calibration and coverage under each published law, with truths drawn from the prior."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

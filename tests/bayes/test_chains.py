@@ -1,7 +1,5 @@
 """Interrupted chains lose nothing, agreement is between ensembles, and weights say what they should."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import h5py

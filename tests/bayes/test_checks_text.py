@@ -1,7 +1,5 @@
 """What is said of counts that are the model's own, and of some that are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +8,8 @@ import pytest
 from stickslip_fit._summary import Summary
 from stickslip_fit.bayes import fit_bayes
 from stickslip_fit.bayes.checks import checks_section
+from tests.bayes.test_bayes import JOINT_3
 
-JOINT_3 = tuple(
-    {"joint": 3, "q2_deg": q2, "theta_deg": theta}
-    for q2, theta in ((-90.0, 0.0), (0.0, -90.0), (0.0, 0.0), (-45.0, 0.0), (-150.0, 0.0))
-)
 DAYS = ("2012-03-05", "2012-03-06", "2012-03-07")
 
 

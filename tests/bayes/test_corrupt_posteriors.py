@@ -1,7 +1,5 @@
 """Saved draws that are corrupt, foreign or newer end with one message; those of released versions load."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

@@ -1,7 +1,5 @@
 """The same hierarchical model, written out again and sampled by nested sampling."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """Closed forms beside one large multivariate normal of all counts, campaign means and sessions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whether a poor day gains from the days before it, under the prior that everybody gets."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

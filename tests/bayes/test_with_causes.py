@@ -1,7 +1,5 @@
 """Causes in the hierarchical model: truths rank evenly, and it agrees with least squares."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

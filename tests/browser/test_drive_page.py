@@ -1,7 +1,5 @@
 """The page of a drive in a real browser: what is held moves the tip, and whatever ends that stops it."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The report as a person reads it: in a browser, by mouse and keyboard, with and without its script."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from xml.etree import ElementTree

@@ -1,7 +1,5 @@
 """The documentation's site as its readers have it before them."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.docs.site import built_site

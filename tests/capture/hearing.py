@@ -1,7 +1,5 @@
 """Sound for tests of the ear."""
 
-from __future__ import annotations
-
 import wave
 
 import numpy as np
@@ -11,6 +9,7 @@ from stickslip_fit.capture.protocols import Samples
 from stickslip_fit.capture.tuning import choose_tuning
 
 STEPS, SECONDS = 5, 0.05
+AT_ZERO = Acoustics(snr_db=0.0)  # over the whole of the 2 kHz
 
 
 def steps(acoustics, checks, pushing, seed, began=0.0):

@@ -4,8 +4,6 @@ Run as a program: FOLDER KILLS SEED. It forks before anything has threads, so it
 own process. The joints are played; what they truly did outlives them in shared memory.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import random

@@ -1,7 +1,5 @@
 """A rig and a person played by the test: joints with steps of one size, and an ear that knows."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A controller that knows one conversation by heart, and nothing but that."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any

@@ -1,7 +1,5 @@
 """attocube's ANC300 behind the same interface, command by command."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 
 import pytest

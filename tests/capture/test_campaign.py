@@ -1,7 +1,5 @@
 """A plan gone through at a rig whose truth is known, whatever happens on the way."""
 
-from __future__ import annotations
-
 import math
 import os
 import subprocess
@@ -206,12 +204,15 @@ def test_a_joint_whose_stop_is_not_heard_is_driven_once_over_the_whole_way(short
     assert short.joints.against_stop <= row["steps"]
 
 
-def test_a_traverse_whose_stop_is_not_heard_is_asked_about_and_no_stop_is_run_into_again(short):
-    class Deafened(Player):
-        def begin_drive(self, drive):
-            super().begin_drive(drive)
-            self.joints.deaf |= drive.title.startswith("3 of")
+class Deafened(Player):
+    """Whose joints are no longer heard from the third traverse on."""
 
+    def begin_drive(self, drive):
+        super().begin_drive(drive)
+        self.joints.deaf |= drive.title.startswith("3 of")
+
+
+def test_a_traverse_whose_stop_is_not_heard_is_asked_about_and_no_stop_is_run_into_again(short):
     short.player = Deafened(short.joints)
     with pytest.raises(InputError, match="no stop was heard"):
         short.run()
@@ -222,11 +223,6 @@ def test_a_traverse_whose_stop_is_not_heard_is_asked_about_and_no_stop_is_run_in
 
 
 def test_without_a_law_a_drive_is_limited_by_the_readings_before_it(short):
-    class Deafened(Player):
-        def begin_drive(self, drive):
-            super().begin_drive(drive)
-            self.joints.deaf |= drive.title.startswith("3 of")
-
     short.predictor = short.count_predictor = None
     short.player = Deafened(short.joints)
     with pytest.raises(InputError, match="no stop was heard"):
@@ -417,30 +413,16 @@ def test_two_captures_at_once_are_refused(short):
         short.run(again=True)
 
 
-def killed(folder, kills, seed):
-    if not hasattr(os, "fork"):
-        pytest.skip("this system cannot fork a capture that is killed")
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork a capture that is killed")
+@pytest.mark.parametrize(("kills", "seed"), [(12, 1), pytest.param(200, 2, marks=pytest.mark.nightly)])
+def test_killed_at_random_moments_it_loses_nothing(folder, kills, seed):
     program = [sys.executable, "-m", "tests.capture.killed", folder, str(kills), str(seed)]
     root = Path(__file__).parents[2]
     found = subprocess.run(program, cwd=root, capture_output=True, text=True, timeout=550, check=False)
     assert found.returncode == 0, found.stderr
-    return [int(steps) for steps in found.stdout.split()]
-
-
-def assert_nothing_lost(folder, kills, seed):
-    broken = killed(folder, kills, seed)
     capture = Capture(folder, plan_of(folder, SHORT))
     assert_whole(capture)
     rows = capture.rows
     interrupted = rows[rows["status"] == "interrupted"]
-    assert interrupted["steps"].tolist() == broken
+    assert interrupted["steps"].tolist() == [int(steps) for steps in found.stdout.split()]
     assert interrupted["note"].eq("the capture ended in mid-traverse").all()
-
-
-def test_killed_at_random_moments_it_loses_nothing(folder):
-    assert_nothing_lost(folder, 12, 1)
-
-
-@pytest.mark.nightly
-def test_killed_at_200_random_moments_it_loses_nothing(folder):
-    assert_nothing_lost(folder, 200, 2)

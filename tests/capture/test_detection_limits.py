@@ -1,7 +1,5 @@
 """The limits' chances, by simulation, and the powers that they are made for, by whole sounds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -16,18 +14,12 @@ from stickslip_fit.capture.tuning import (
     pair_limit,
     power_quantile,
 )
-from tests.capture.hearing import steps, tuned
+from tests.capture.hearing import AT_ZERO, steps, tuned
 
 
 @pytest.fixture(scope="module")
-def at_zero():
-    """0 dB over the whole of the 2 kHz."""
-    return Acoustics(snr_db=0.0)
-
-
-@pytest.fixture(scope="module")
-def tuning(at_zero):
-    return tuned(at_zero)
+def tuning():
+    return tuned(AT_ZERO)
 
 
 @pytest.mark.parametrize(("df", "rise"), [(190.0, 1.0), (40.0, 1.0), (190.0, 1.3)])
@@ -55,11 +47,11 @@ def test_limits_narrow_as_a_baseline_is_learnt_and_widen_where_the_stop_is_loud(
 
 
 @pytest.mark.parametrize("pushing", [pytest.param(False, marks=pytest.mark.nightly), True])
-def test_powers_without_sound_are_distributed_as_those_of_whole_sounds(at_zero, tuning, pushing):
+def test_powers_without_sound_are_distributed_as_those_of_whole_sounds(tuning, pushing):
     number = 1500
-    sound = steps(at_zero, number, pushing, 11)
+    sound = steps(AT_ZERO, number, pushing, 11)
     of_sound = tuning.powers(sound.reshape(number, -1))
-    powers, rng = compute_powers(at_zero, tuning), np.random.default_rng(2)
+    powers, rng = compute_powers(AT_ZERO, tuning), np.random.default_rng(2)
     parts = (powers.band_at_stop, powers.reference_at_stop) if pushing else (powers.band, powers.reference)
     for heard, part in zip(of_sound, parts, strict=True):
         drawn = part.draw(100_000, rng)
@@ -82,28 +74,28 @@ def operating_point(acoustics, tuning, traverses, stops, drift_db, seed):
 
 
 @pytest.mark.parametrize("drift_db", [pytest.param(0.0, marks=pytest.mark.nightly), 6.0])
-def test_stops_are_found_and_not_imagined_at_0_db(at_zero, tuning, drift_db):
-    false_stops, late = operating_point(at_zero, tuning, 3000, 20_000, drift_db, 5)
+def test_stops_are_found_and_not_imagined_at_0_db(tuning, drift_db):
+    false_stops, late = operating_point(AT_ZERO, tuning, 3000, 20_000, drift_db, 5)
     assert false_stops <= 4 / 3000  # 1 in 1,000 allowed, 0.3 in 1,000 aimed at
     assert late < 1e-3
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("drift_db", [0.0, 6.0])
-def test_stops_are_found_and_not_imagined_at_0_db_for_any_tuning(at_zero, drift_db):
+def test_stops_are_found_and_not_imagined_at_0_db_for_any_tuning(drift_db):
     points = [
-        operating_point(at_zero, tuned(at_zero, seed), 4000, 20_000, drift_db, seed) for seed in range(1, 26)
+        operating_point(AT_ZERO, tuned(AT_ZERO, seed), 4000, 20_000, drift_db, seed) for seed in range(1, 26)
     ]
     false_stops, late = np.mean(points, axis=0)
     assert false_stops < 1e-3
     assert late < 1e-3
 
 
-def test_a_plain_threshold_imagines_stops_once_the_gain_drifts(at_zero, tuning):
+def test_a_plain_threshold_imagines_stops_once_the_gain_drifts(tuning):
     fixed = FixedThreshold(power_quantile(FALSE_STOPS_PER_TRAVERSE / CHECKS_PER_TRAVERSE, tuning.df))
     rng = np.random.default_rng(1)
     assert (
-        simulate_traverses(fixed, compute_powers(at_zero, tuning), 300, rng, drift_db=6.0).false_stops > 0.9
+        simulate_traverses(fixed, compute_powers(AT_ZERO, tuning), 300, rng, drift_db=6.0).false_stops > 0.9
     )
 
 

@@ -1,7 +1,5 @@
 """Sound in, stops and faults out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -18,19 +16,14 @@ from stickslip_fit.capture.end_stop import (
 from stickslip_fit.capture.protocols import Samples
 from stickslip_fit.capture.tuning import compute_limits
 from stickslip_fit.errors import InputError
-from tests.capture.hearing import SECONDS, Played, checks_of, steps, tuned
+from tests.capture.hearing import AT_ZERO, SECONDS, Played, checks_of, steps, tuned
 
 MOVING = 60  # checks before the stop
 
 
 @pytest.fixture(scope="module")
-def at_zero():
-    return Acoustics(snr_db=0.0)
-
-
-@pytest.fixture(scope="module")
-def tuning(at_zero):
-    return tuned(at_zero)
+def tuning():
+    return tuned(AT_ZERO)
 
 
 def traverse(acoustics, seed, pushing=6):
@@ -49,10 +42,10 @@ def until_it_says_something(detector, seconds=SECONDS, most=400):
     return most, heard
 
 
-def test_a_stop_is_found_at_its_second_check_and_told_from_its_first(at_zero, tuning):
+def test_a_stop_is_found_at_its_second_check_and_told_from_its_first(tuning):
     for seed in range(20):
         check, heard = until_it_says_something(
-            SequentialDetector(Recording(traverse(at_zero, seed), 48000), tuning)
+            SequentialDetector(Recording(traverse(AT_ZERO, seed), 48000), tuning)
         )
         assert heard.at_stop
         assert not heard.fault
@@ -62,23 +55,23 @@ def test_a_stop_is_found_at_its_second_check_and_told_from_its_first(at_zero, tu
 
 
 @pytest.mark.parametrize("seconds", [0.047, 0.052, 0.1, 0.2])
-def test_a_stop_is_found_however_the_sound_is_cut(at_zero, tuning, seconds):
+def test_a_stop_is_found_however_the_sound_is_cut(tuning, seconds):
     check, heard = until_it_says_something(
-        SequentialDetector(Recording(traverse(at_zero, 3), 48000), tuning), seconds
+        SequentialDetector(Recording(traverse(AT_ZERO, 3), 48000), tuning), seconds
     )
     assert heard.at_stop
     first = (check - heard.late_checks) * seconds
     assert MOVING * SECONDS < first < MOVING * SECONDS + seconds + SECONDS
 
 
-def test_a_check_shorter_than_those_tuned_with_waits_for_more(at_zero, tuning):
-    detector = SequentialDetector(Recording(traverse(at_zero, 3), 48000), tuning)
+def test_a_check_shorter_than_those_tuned_with_waits_for_more(tuning):
+    detector = SequentialDetector(Recording(traverse(AT_ZERO, 3), 48000), tuning)
     levels = [detector.check(0.01).level for _ in range(8)]
     assert np.isfinite(levels).tolist() == [False, False, False, False, True, False, False, False]
 
 
-def test_a_traverse_forgets_the_one_before(at_zero, tuning):
-    sound = checks_of(traverse(at_zero, 1))[: MOVING + 2]
+def test_a_traverse_forgets_the_one_before(tuning):
+    sound = checks_of(traverse(AT_ZERO, 1))[: MOVING + 2]
     detector = SequentialDetector(Played([*sound, *sound]), tuning)
     first, second = (until_it_says_something(detector) for _ in range(2))
     assert first == second
@@ -94,8 +87,8 @@ def test_a_joint_that_begins_at_its_stop_is_noticed_whatever_the_gain(gain):
 
 
 @pytest.mark.parametrize("share", [1.0, 0.3])
-def test_a_bang_however_loud_is_no_stop(at_zero, tuning, share):
-    sound = steps(at_zero, MOVING, False, 8)
+def test_a_bang_however_loud_is_no_stop(tuning, share):
+    sound = steps(AT_ZERO, MOVING, False, 8)
     at = 30 * 2400 + 2000  # into the next check, too
     bang = np.random.default_rng(1).normal(0, 0.1 * share, 1200)
     sound[at : at + 1200] += bang.astype(np.float32)
@@ -109,26 +102,26 @@ def test_a_bang_however_loud_is_no_stop(at_zero, tuning, share):
     assert check == MOVING
 
 
-def test_a_lone_check_in_the_band_alone_is_no_stop(at_zero, tuning):
-    sound = checks_of(steps(at_zero, MOVING, False, 8))
-    sound[30] = checks_of(steps(replace(at_zero, snr_db=20.0), 1, True, 9))[0]
+def test_a_lone_check_in_the_band_alone_is_no_stop(tuning):
+    sound = checks_of(steps(AT_ZERO, MOVING, False, 8))
+    sound[30] = checks_of(steps(replace(AT_ZERO, snr_db=20.0), 1, True, 9))[0]
     check, heard = until_it_says_something(SequentialDetector(Played(sound), tuning), most=MOVING)
     assert check == MOVING
     assert not heard.at_stop
 
 
-def test_a_room_that_stays_loud_ends_the_move(at_zero, tuning):
-    loud = 2 * steps(at_zero, MAX_MASKED_CHECKS + 5, False, 4)
-    sound = np.concatenate([steps(at_zero, MOVING, False, 3), loud])
+def test_a_room_that_stays_loud_ends_the_move(tuning):
+    loud = 2 * steps(AT_ZERO, MAX_MASKED_CHECKS + 5, False, 4)
+    sound = np.concatenate([steps(AT_ZERO, MOVING, False, 3), loud])
     check, heard = until_it_says_something(SequentialDetector(Recording(sound, 48000), tuning))
     assert check == MOVING + MAX_MASKED_CHECKS
     assert not heard.at_stop
     assert "too loud" in heard.fault
 
 
-def test_a_stop_reached_while_the_room_was_loud_gives_no_count(at_zero, tuning):
-    loud = 3 * steps(at_zero, 5, True, 4)
-    sound = np.concatenate([steps(at_zero, MOVING, False, 3), loud, steps(at_zero, 5, True, 5)])
+def test_a_stop_reached_while_the_room_was_loud_gives_no_count(tuning):
+    loud = 3 * steps(AT_ZERO, 5, True, 4)
+    sound = np.concatenate([steps(AT_ZERO, MOVING, False, 3), loud, steps(AT_ZERO, 5, True, 5)])
     check, heard = until_it_says_something(SequentialDetector(Recording(sound, 48000), tuning))
     assert check == MOVING + 7
     assert "5 checks" in heard.fault
@@ -162,8 +155,8 @@ def spoilt(kind, check):
         ("ended", "ended"),
     ],
 )
-def test_faults_of_the_sound_end_the_move(at_zero, tuning, kind, said):
-    sound = checks_of(steps(at_zero, 20, False, 2))
+def test_faults_of_the_sound_end_the_move(tuning, kind, said):
+    sound = checks_of(steps(AT_ZERO, 20, False, 2))
     sound[12] = spoilt(kind, sound[12])
     check, heard = until_it_says_something(SequentialDetector(Played(sound), tuning), most=20)
     assert check == 13
@@ -171,8 +164,8 @@ def test_faults_of_the_sound_end_the_move(at_zero, tuning, kind, said):
     assert not heard.at_stop
 
 
-def test_a_few_samples_at_full_scale_are_a_bang_and_no_clipping(at_zero, tuning):
-    sound = checks_of(steps(at_zero, 20, False, 2))
+def test_a_few_samples_at_full_scale_are_a_bang_and_no_clipping(tuning):
+    sound = checks_of(steps(AT_ZERO, 20, False, 2))
     sound[12].values[100:102] = 1.0
     check, heard = until_it_says_something(SequentialDetector(Played(sound), tuning), most=20)
     assert (check, heard.fault, heard.at_stop) == (20, "", False)

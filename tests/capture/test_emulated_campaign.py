@@ -1,7 +1,5 @@
 """A whole campaign at the emulated rig: what the log says is what was hidden, history included."""
 
-from __future__ import annotations
-
 import ast
 from datetime import UTC
 from pathlib import Path
@@ -14,6 +12,7 @@ from stickslip_fit.capture.campaign import Campaign, begin_journal, resume_journ
 from stickslip_fit.capture.emulator.rig import EmulatedOperator, emulate_rig
 from stickslip_fit.capture.operator import OperatorChoice, OperatorReply
 from stickslip_fit.capture.protocols import VirtualClock
+from stickslip_fit.capture.terminal import UnattendedOperator
 from stickslip_fit.capture.traverse import Rig
 from stickslip_fit.laws import observed_count
 from stickslip_fit.logs import read_log
@@ -35,32 +34,8 @@ L = "40 steps"
 """
 
 
-class Willing:
+class Willing(UnattendedOperator):
     """A person who does whatever is asked, and finds everything in order."""
-
-    def show(self, text):
-        pass
-
-    def begin_session(self, label):
-        return OperatorReply()
-
-    def set_up(self, wanted, before):
-        return OperatorReply()
-
-    def bring_joint(self, joint, position):
-        return OperatorReply()
-
-    def begin_drive(self, drive):
-        pass
-
-    def progress(self, drive, steps, detection):
-        pass
-
-    def stop_wanted(self):
-        return False
-
-    def review(self, reading):
-        return OperatorReply()
 
     def handle_failure(self, drive, why):
         pytest.fail(why)
@@ -70,6 +45,7 @@ class Leaving(Willing):
     """Goes to lunch after so many readings."""
 
     def __init__(self, readings):
+        super().__init__()
         self.left = readings
 
     def review(self, reading):
@@ -116,15 +92,8 @@ def test_a_captured_log_holds_what_the_emulator_hides(tmp_path, lunch):
 def test_only_the_emulator_knows_a_law():
     folder = Path(stickslip_fit.capture.__file__).parent
     knowing = (
-        "simulation",
-        "laws",
-        "causes",
-        "moves",
-        "estimation",
-        "bayes",
-        "diagnosis",
-        "strategies",
-        "anova",
+        *("simulation", "laws", "causes", "moves", "estimation"),
+        *("bayes", "diagnosis", "strategies", "anova"),
     )
     for path in folder.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):

@@ -1,7 +1,5 @@
 """The emulated rig counts what `simulate` counts, and behaves like a controller and a machine."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +8,6 @@ import pytest
 
 from stickslip_fit.capture.emulator.acoustics import Acoustics
 from stickslip_fit.capture.emulator.rig import EmulatedRig, emulate_rig
-from stickslip_fit.capture.protocols import VirtualClock
 from stickslip_fit.causes import library
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs.plan import Noise
@@ -124,7 +121,6 @@ def test_a_joint_at_its_stop_stays_there_while_the_steps_go_on(tmp_path):
     controller.step(3, 500)
     assert rig.manipulator.position(3) == MACHINE.ranges[3][1]
     assert rig.manipulator.total_steps(3) == 20_500
-    assert rig.emulated_controller.step_counts["C"] == 20_500
     controller.step(3, -1000)
     assert rig.manipulator.position(3) == pytest.approx(0.012 - 1000 * 903e-8, rel=1e-9)
 
@@ -175,7 +171,7 @@ def test_time_passes_as_the_steps_do(dialect, on_the_way, tmp_path):
     assert rig.clock.now() == pytest.approx(0.020 + on_the_way)
     controller.step(3, -250)
     assert rig.clock.now() == pytest.approx(1.020 + 6 * on_the_way)
-    assert rig.emulated_controller.step_counts["C"] == -245
+    assert rig.manipulator.total_steps(3) == 255
     assert "emulated" in controller.version()
 
 
@@ -186,11 +182,9 @@ def test_a_move_stopped_half_way_has_made_half_its_steps(tmp_path):
     assert rig.emulated_controller.send() == b""
     rig.emulated_controller.receive(b"stop\r")
     assert rig.emulated_controller.send() == b"e\tstopped\ro\tstop\r"
-    assert rig.emulated_controller.step_counts["C"] == rig.manipulator.total_steps(3) == 500
+    assert rig.manipulator.total_steps(3) == 500
     rig.emulated_controller.receive(b"stopnack\r")
     assert rig.emulated_controller.send() == b""
-    rig.emulated_controller.receive(b"coarse C ?\rcoarsereset C\rcoarse ?\r")
-    assert rig.emulated_controller.send() == b"o\t500\ro\tcoarsereset\ro\t0 0 0 0\r"
 
 
 def test_a_stop_right_behind_a_move_stops_it(tmp_path):
@@ -208,7 +202,7 @@ def test_commands_wait_for_each_other_and_may_come_in_pieces(tmp_path):
     assert rig.emulated_controller.send() == b"o\tcoarse\r"
     rig.clock.sleep(0.5)
     assert rig.emulated_controller.send() == b"o\tcoarse\r"
-    assert rig.emulated_controller.step_counts == {"A": 0, "B": -100, "C": 100, "D": 0}
+    assert [rig.manipulator.total_steps(joint) for joint in (1, 2, 3)] == [0, 100, 100]
 
 
 @pytest.mark.parametrize("command", ["coarse E 5", "coarse C 70000", "coarse C five", "fly"])
@@ -217,14 +211,6 @@ def test_the_new_dialect_refuses_what_it_cannot_do(command, tmp_path):
     rig.emulated_controller.receive(command.encode() + b"\r")
     assert rig.emulated_controller.send().startswith(b"e\t")
     assert rig.emulated_controller.due() is None
-
-
-def test_it_can_speak_unasked(tmp_path):
-    told = []
-    rig = emulate_rig(truth_of(tmp_path))
-    rig.emulated_controller.inform("voltage breakdown")
-    rig.controller(told.append).step(3, 5)
-    assert told == ["voltage breakdown"]
 
 
 def in_band(sound, acoustics):
@@ -266,13 +252,6 @@ def test_the_microphone_waits_for_what_it_has_not_heard(tmp_path):
     microphone = rig.microphone(Acoustics())
     assert len(microphone.read(1.0).values) == 48_000
     assert rig.clock.now() == pytest.approx(1.0)
-
-
-def test_a_virtual_clock_is_one_for_all(tmp_path):
-    clock = VirtualClock()
-    rig = emulate_rig(truth_of(tmp_path), clock=clock)
-    rig.controller(pytest.fail).step(3, 100)
-    assert clock.now() == rig.clock.now() == pytest.approx(1.0)
 
 
 def test_noise_needs_no_joint_that_has_none(tmp_path):

@@ -1,7 +1,5 @@
 """Journals with valid checksums and numbers whose events no capture writes."""
 
-from __future__ import annotations
-
 import copy
 import json
 import random
@@ -19,24 +17,8 @@ from tests.capture.played import MACHINE, SHORT, Capture, Player, plan_of
 REPEAT, QUIT = OperatorReply(OperatorChoice.REPEAT), OperatorReply(OperatorChoice.QUIT)
 WARM = OperatorReply(conditions={"temperature": 295.0, "covariate:pressure_hPa": 1013.0})
 VALUES = (
-    None,
-    True,
-    -1,
-    0,
-    1,
-    4,
-    5,
-    10**30,
-    0.5,
-    float("nan"),
-    "",
-    "+",
-    "ok",
-    "x" * 99,
-    [],
-    [1],
-    {},
-    {"a": {}},
+    *(None, True, -1, 0, 1, 4, 5, 10**30, 0.5, float("nan"), "", "+", "ok", "x" * 99),
+    *([], [1], {}, {"a": {}}),
 )
 
 
@@ -86,15 +68,7 @@ def test_what_a_capture_wrote_goes_on(captured):
     capture, events = captured
     names = {event["event"] for event in events}
     assert names >= {
-        "begun",
-        "conditions",
-        "drive",
-        "commanded",
-        "ended",
-        "excluded",
-        "noted",
-        "skipped",
-        "writing",
+        *("begun", "conditions", "drive", "commanded", "ended", "excluded", "noted", "skipped", "writing"),
     }
     assert resume(capture, events)["status"].eq("ok").sum() == 3
 
@@ -193,7 +167,8 @@ def mutate(events, rng):
     return changed
 
 
-def assert_refused_or_read(captured, trials, seed):
+@pytest.mark.parametrize(("trials", "seed"), [(60, 1), pytest.param(3000, 2, marks=pytest.mark.nightly)])
+def test_changed_journals_are_refused_or_read(captured, trials, seed):
     capture, events = captured
     rng, refused = random.Random(seed), 0
     for _ in range(trials):
@@ -212,12 +187,3 @@ def assert_refused_or_read(captured, trials, seed):
     assert refused > 0.6 * trials
     resume(capture, events)
     assert len(read_log(capture.log, machine=MACHINE).rows)
-
-
-def test_changed_journals_are_refused_or_read(captured):
-    assert_refused_or_read(captured, 60, 1)
-
-
-@pytest.mark.nightly
-def test_3000_changed_journals_are_refused_or_read(captured):
-    assert_refused_or_read(captured, 3000, 2)

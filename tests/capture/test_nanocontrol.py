@@ -1,13 +1,10 @@
 """The NanoControl's two dialects, command by command."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import pytest
 
 from stickslip_fit.capture import nanocontrol
-from stickslip_fit.capture import nanocontrol as nanocontrol_old
 from stickslip_fit.capture.nanocontrol import LineTransport, NanoControl, OldNanoControl
 from stickslip_fit.capture.protocols import ConnectionLost, ControllerError, VirtualClock
 from stickslip_fit.errors import InputError
@@ -28,7 +25,7 @@ def new(told):
 
 @pytest.fixture
 def old():
-    return partial(conversation, OldNanoControl, nanocontrol_old.OLD_TERMINATOR)
+    return partial(conversation, OldNanoControl, nanocontrol.OLD_TERMINATOR)
 
 
 def test_every_joint_has_its_channel_and_every_direction_its_sign(new):

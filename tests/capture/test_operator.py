@@ -1,7 +1,5 @@
 """What a person may say of the room, and what is made of it."""
 
-from __future__ import annotations
-
 import pytest
 
 from stickslip_fit.capture.operator import format_conditions, parse_conditions

@@ -1,7 +1,5 @@
 """The emulated microphone hears what its acoustics say, by scipy's spectra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import signal

@@ -1,7 +1,5 @@
 """A microphone that is not there, one that is played by hand, and files."""
 
-from __future__ import annotations
-
 import builtins
 import sys
 from threading import Timer

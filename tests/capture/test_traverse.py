@@ -1,7 +1,5 @@
 """A drive to the stop, with a controller and a detector that follow a script."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import pytest

@@ -1,7 +1,5 @@
 """What is proposed after a short listen, kept in a file and drawn."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What an emulator may hide, small enough to reason about."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from stickslip_fit.capture.emulator.manipulator import HiddenLaws

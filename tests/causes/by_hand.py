@@ -1,7 +1,5 @@
 """Steps over one traverse, one number at a time: plain formulas and scipy's quadrature."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise

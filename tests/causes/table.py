@@ -1,7 +1,5 @@
 """Every cause as its row of the table says, with values to try: two sizes and signs of each."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import cos, exp, log, pi, sqrt, tanh
 
@@ -107,11 +105,7 @@ CASES = (
         Effect(factor=lambda s, A, tau: 1 + A * (1 - exp(-s.session_seconds / tau))),
         ((0.03, 600.0), (-0.08, 3000.0)),
     ),
-    Case(
-        Drift(),
-        Effect(factor=lambda s, k: 1 + k * s.session_seconds),
-        ((0.02 / 3600,), (-0.05 / 3600,)),
-    ),
+    Case(Drift(), Effect(factor=lambda s, k: 1 + k * s.session_seconds), ((0.02 / 3600,), (-0.05 / 3600,))),
     Case(
         SessionJump(session=SECOND),
         Effect(factor=lambda s, A, at: 1 + A * (s.session == SECOND and s.session_seconds >= at)),
@@ -143,9 +137,7 @@ CASES = (
         ((0.02,), (-0.05,)),
     ),
     Case(
-        ThetaOffset(),
-        Effect(angles=lambda s, delta: {"theta": s.theta + delta}),
-        ((2 * DEG,), (-5 * DEG,)),
+        ThetaOffset(), Effect(angles=lambda s, delta: {"theta": s.theta + delta}), ((2 * DEG,), (-5 * DEG,))
     ),
     Case(PsiOffset(), Effect(angles=lambda s, delta: {"psi": s.psi + delta}), ((2 * DEG,), (-5 * DEG,))),
     Case(Q2Offset(), Effect(angles=lambda s, delta: {"q2": s.q2 + delta}), ((2 * DEG,), (-5 * DEG,))),
@@ -154,11 +146,7 @@ CASES = (
         Effect(load=lambda s, k: s.u if s.joint == 1 else (1 - k) * s.u + k * full_load(s)),
         ((1.0,), (0.4,)),
     ),
-    Case(
-        RecoilAxis(),
-        Effect(recoil=lambda s, phi: abs(cos(s.q2 - phi))),
-        ((6 * DEG,), (-15 * DEG,)),
-    ),
+    Case(RecoilAxis(), Effect(recoil=lambda s, phi: abs(cos(s.q2 - phi))), ((6 * DEG,), (-15 * DEG,))),
     Case(RecoilShape(), Effect(recoil=lambda s, p: s.recoil**p), ((0.5,), (2.0,))),
     Case(
         SideLoad(),
@@ -174,11 +162,7 @@ CASES = (
         (BENT[0] + BENT[1], BENT[1] + BENT[0]),
         form="square-and-cube",
     ),
-    Case(
-        LoadHysteresis(),
-        Effect(factor=lambda s, k: 1 + k * s.before_load),
-        ((0.02,), (-0.05,)),
-    ),
+    Case(LoadHysteresis(), Effect(factor=lambda s, k: 1 + k * s.before_load), ((0.02,), (-0.05,))),
     Case(
         PayloadChange(session=FIRST),
         Effect(load=lambda s, k, at: s.u * (1 + k * (s.session == FIRST and s.session_seconds >= at))),

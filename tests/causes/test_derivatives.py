@@ -1,7 +1,5 @@
 """What follows from the equations: changes of the response, and derivatives by every parameter."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

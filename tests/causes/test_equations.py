@@ -1,7 +1,5 @@
 """Every cause by its equation: counts against one quadrature per traverse, written out by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The extended law goes on living: fitted, listed, saved, loaded and predicted with."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -39,18 +37,13 @@ def seconds(table: pd.DataFrame) -> np.ndarray:
     return (time - time.groupby(table["session"]).transform("min")).dt.total_seconds().to_numpy()
 
 
-def log_of(table: pd.DataFrame, path) -> Log:
-    table.to_csv(path, index=False)
-    return read_log(path)
-
-
 @pytest.fixture(scope="module")
-def warm(campaign: Callable[..., pd.DataFrame], tmp_path_factory) -> Log:
+def warm(campaign: Callable[..., pd.DataFrame], read_table) -> Log:
     """A drive that warms up, and a stop that is heard late: by hand, on an independent campaign."""
     table = campaign(check_every=1, sessions=("2012-03-05", "2012-03-06", "2012-03-09"))
     factor = 1 + A * (1 - np.exp(-seconds(table) / TAU))
     table["steps"] = np.round(table["steps"] / factor + LATE).astype(int)
-    return log_of(table, tmp_path_factory.mktemp("warm") / "log.csv")
+    return read_table(table)
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +57,7 @@ def causes_of(result: Result) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize(
-    ("name", "truth"),
-    [("thermal-warm-up.A", A), ("thermal-warm-up.tau", TAU), ("end-stop-latency.L", LATE)],
+    ("name", "truth"), [("thermal-warm-up.A", A), ("thermal-warm-up.tau", TAU), ("end-stop-latency.L", LATE)]
 )
 def test_the_causes_are_found_at_their_size(name, truth, result):
     row = causes_of(result).loc[name]
@@ -180,12 +172,12 @@ def test_predictions_follow_the_session_s_clock(result, warm):
 
 
 @pytest.fixture(scope="module")
-def knocked(campaign: Callable[..., pd.DataFrame], tmp_path_factory) -> tuple[Log, pd.Timestamp]:
+def knocked(campaign: Callable[..., pd.DataFrame], read_table) -> tuple[Log, pd.Timestamp]:
     table = campaign(check_every=1)
     second = table.index[table["session"] == "2012-03-06"]
     at = second[len(second) // 3]
     table.loc[at : second[-1], "steps"] = np.round(table.loc[at : second[-1], "steps"] / 1.02).astype(int)
-    return log_of(table, tmp_path_factory.mktemp("knocked") / "log.csv"), pd.Timestamp(table.loc[at, "time"])
+    return read_table(table), pd.Timestamp(table.loc[at, "time"])
 
 
 def test_a_knock_is_found_in_its_session_at_its_moment(knocked):
@@ -240,8 +232,8 @@ def test_parameters_per_joint_and_direction_have_rows_of_their_own(warm):
     assert list(table.index) == [f"load-nonlinearity.k[{joint}{way}]" for joint in (1, 2, 3) for way in "+-"]
 
 
-def test_where_nothing_is_hidden_no_effect_is_found(campaign, tmp_path):
-    log = log_of(campaign(), tmp_path / "log.csv")
+def test_where_nothing_is_hidden_no_effect_is_found(campaign, read_table):
+    log = read_table(campaign())
     table = causes_of(fit_least_squares(log, causes=(PsiOffset(), Drift())))
     assert np.all(np.abs(table["estimate"]) < 3.5 * table["standard_error"])
 
@@ -266,10 +258,10 @@ class Humming(FactorCause):
         return 1.0 + values[0] * (-1.0) ** (state.column("session_seconds") // 60)
 
 
-def test_a_cause_of_one_s_own_is_fitted_saved_and_loaded_like_any_other(campaign, tmp_path):
+def test_a_cause_of_one_s_own_is_fitted_saved_and_loaded_like_any_other(campaign, read_table, tmp_path):
     table = campaign(check_every=1)
     table["steps"] = np.round(table["steps"] / (1 + 0.01 * (-1.0) ** (seconds(table) // 60))).astype(int)
-    log = log_of(table, tmp_path / "log.csv")
+    log = read_table(table)
     found = fit_least_squares(log, causes=(Humming(),))
     row = causes_of(found).loc["humming.k"]
     assert abs(row["estimate"] - 0.01) < 3.5 * row["standard_error"]

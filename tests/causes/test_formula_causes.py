@@ -1,7 +1,5 @@
 """Causes as formulas: in tables, against hand-written equations; in logs, against the library's own."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -14,6 +12,7 @@ from stickslip_fit.causes import Drift, ThermalWarmUp, ThetaOffset, restore_form
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.laws import Elbow, Prismatic
 from stickslip_fit.machine import published_load
+from tests.differences import numeric_slopes
 from tests.docs.commands import ROOT
 
 BASE = np.array([2.0, 3.0, 0.5, 0.1])
@@ -91,12 +90,8 @@ def test_a_cause_of_a_table_does_what_its_formula_says(law, frame, case):
     np.testing.assert_allclose(extended.predict(frame, everything), expected, rtol=1e-12, atol=1e-12)
     changes = bound.changes(law, frame, np.tile(BASE, (len(frame), 1)), np.array([values, bound.null_values]))
     np.testing.assert_allclose(changes, np.stack([expected - motor(frame), 0 * expected], axis=1), atol=1e-12)
-    numerical = [
-        (extended.predict(frame, everything + h) - extended.predict(frame, everything - h)) / 2e-6
-        for h in 1e-6 * np.eye(len(everything))
-    ]
-    slopes = extended.jacobian(frame, everything)
-    np.testing.assert_allclose(slopes, np.stack(numerical, axis=1), rtol=1e-6, atol=1e-6)
+    numerical = numeric_slopes(lambda values: extended.predict(frame, values), everything)
+    np.testing.assert_allclose(extended.jacobian(frame, everything), numerical, rtol=1e-6, atol=1e-6)
     assert extended.n_shared == len(values)
 
 
@@ -129,11 +124,8 @@ def test_causes_of_a_table_act_one_after_the_other(law, frame):
     slipped = motor(frame, vel) + 0.3 * vel**2
     expected = (slipped + 0.03 * slipped**2) * (1 + 0.01 * frame.t)
     np.testing.assert_allclose(extended.predict(frame, values), expected, rtol=1e-12)
-    numerical = [
-        (extended.predict(frame, values + h) - extended.predict(frame, values - h)) / 2e-6
-        for h in 1e-6 * np.eye(len(values))
-    ]
-    np.testing.assert_allclose(extended.jacobian(frame, values), np.stack(numerical, axis=1), atol=1e-6)
+    numerical = numeric_slopes(lambda values: extended.predict(frame, values), values)
+    np.testing.assert_allclose(extended.jacobian(frame, values), numerical, atol=1e-6)
 
 
 def test_sizes_are_in_the_unit_of_the_parameter(law, frame):

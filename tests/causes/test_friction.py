@@ -1,7 +1,5 @@
 """Causes that change friction, under a physical law: against that law with its friction changed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

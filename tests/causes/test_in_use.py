@@ -1,7 +1,5 @@
 """The extended law in use: simulated from, and asked for the steps of a move."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

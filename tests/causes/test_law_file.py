@@ -1,7 +1,5 @@
 """Files of formulas: what they hold, and every fault with its line."""
 
-from __future__ import annotations
-
 import pytest
 
 import stickslip_fit as ssf

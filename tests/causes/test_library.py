@@ -1,7 +1,5 @@
 """The library as a diagnosis uses it: what it tries in a log, and why some causes cannot be tried."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 

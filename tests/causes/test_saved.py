@@ -1,7 +1,5 @@
 """Extended laws as JSON, there and back."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Simulated logs of joint 3 with any sessions, scatter from day to day and change of a parameter."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

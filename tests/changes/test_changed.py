@@ -1,7 +1,5 @@
 """Whether an actuator has changed: from logs to sentences, and the command."""
 
-from __future__ import annotations
-
 import json
 import re
 

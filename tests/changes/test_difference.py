@@ -1,7 +1,5 @@
 """The test of a difference: as many false alarms as it says, whatever the scatter from day to day."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import binom

@@ -1,7 +1,5 @@
 """Which change of the stage stands behind a change of an actuator: logs of stages before and after it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

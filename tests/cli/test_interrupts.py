@@ -1,7 +1,5 @@
 """An interrupt ends the command line with status 130 and one message, whatever it is doing."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

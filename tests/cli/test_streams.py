@@ -1,7 +1,5 @@
 """Whatever the command line prints to, it ends with a status and at most one message."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

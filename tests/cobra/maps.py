@@ -1,7 +1,5 @@
 """The two cuts of the Cobra motor maps as logs of a machine of two rotary joints, see their README."""
 
-from __future__ import annotations
-
 import csv
 from collections import defaultdict
 from pathlib import Path

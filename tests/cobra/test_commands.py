@@ -1,7 +1,5 @@
 """Real piezo motors, two rotary joints without arm lengths and times, through every command on a log."""
 
-from __future__ import annotations
-
 import re
 import time
 

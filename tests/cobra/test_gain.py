@@ -1,7 +1,5 @@
 """Held-out errors on real piezo motors, beside a smoothing spline of position on the same folds."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.cobra import ALLOWED, compare

@@ -1,7 +1,5 @@
 """Diagnoses of small campaigns whose truth is known, one of each verdict."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,7 +7,6 @@ import pytest
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
 from stickslip_fit.laws import Prismatic
-from stickslip_fit.logs import read_log
 
 SETTINGS = (
     *({"joint": 3, "q2_deg": q2, "theta_deg": theta} for q2 in (-90.0, -45.0, 0.0) for theta in (0.0, -60.0)),
@@ -41,19 +38,9 @@ def table(campaign):
 
 
 @pytest.fixture(scope="package")
-def read(tmp_path_factory):
-    def make(table: pd.DataFrame, name: str):
-        path = tmp_path_factory.mktemp("diagnose") / name
-        table.to_csv(path, index=False)
-        return read_log(path)
-
-    return make
-
-
-@pytest.fixture(scope="package")
-def drifting(table, read):
+def drifting(table, read_table):
     """The log in which steps shrink by 0.3 % an hour, so that counts grow."""
-    return read(changed(table, -DRIFT * hours_in(table)), "drifting.csv")
+    return read_table(changed(table, -DRIFT * hours_in(table)), "drifting.csv")
 
 
 @pytest.fixture(scope="package")
@@ -62,21 +49,21 @@ def named(drifting):
 
 
 @pytest.fixture(scope="package")
-def nothing(table, read):
-    return diagnose(read(table, "fine.csv"), alpha=ALPHA, gain=False)
+def nothing(table, read_table):
+    return diagnose(read_table(table, "fine.csv"), alpha=ALPHA, gain=False)
 
 
 @pytest.fixture(scope="package")
-def unnamed(table, read):
+def unnamed(table, read_table):
     """Counts that come and go with a period that no column of the log has."""
     wave = 0.012 * np.sin(2 * np.pi * hours_in(table) / 0.9)
-    return diagnose(read(changed(table, wave), "waving.csv"), alpha=ALPHA, gain=False)
+    return diagnose(read_table(changed(table, wave), "waving.csv"), alpha=ALPHA, gain=False)
 
 
 @pytest.fixture(scope="package")
-def tiny(table, read):
+def tiny(table, read_table):
     """Three traverses."""
-    return diagnose(read(table.head(3), "tiny.csv"), gain=False)
+    return diagnose(read_table(table.head(3), "tiny.csv"), gain=False)
 
 
 @pytest.fixture(scope="package")

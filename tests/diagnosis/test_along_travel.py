@@ -1,7 +1,5 @@
 """A smooth profile along a joint's travel, which no special shape describes, is named and learned."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The arithmetic of the diagnosis, against written-out formulas and other libraries."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import least_squares

@@ -1,7 +1,5 @@
 """What a diagnosis offers after naming: the gain, the extended law, the next experiment."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,15 +1,13 @@
 """Sizes of a cause and of structure without a name beside it, each of what it alone changes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
 
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.effect_size import size_findings
-from tests.hidden.gain_study import read as read_hidden
 from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
 
 WARM_UP, HIDDEN = "thermal-warm-up", "unknown:product"
 

@@ -1,7 +1,5 @@
 """What an extension gains: on rows that took no part, with intervals for a fresh replicate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -47,9 +45,9 @@ from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.selection import Selection, select_causes
-from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
 from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
 
 ALPHA, N_BOOTSTRAP = 0.01, 1000
 FEW = ("drift", "theta-offset", "q2-offset", "cable-torque", "recoil-axis", "end-stop-latency")
@@ -57,13 +55,12 @@ SELECT = partial(select_in_fold, alpha=ALPHA)
 
 
 @pytest.fixture(scope="session")
-def problem(tmp_path_factory):
+def problem():
     """A hidden log as a problem with a few causes and one unstructured alternative, to be quick."""
 
     def made(hidden):
-        path = tmp_path_factory.mktemp("gain") / "log.csv"
-        hidden.write(path)
-        own_problem, _ = problem_from_log(read_log(path), [cause for cause in library() if cause.name in FEW])
+        causes = [cause for cause in library() if cause.name in FEW]
+        own_problem, _ = problem_from_log(read_hidden(hidden), causes)
         return replace(own_problem, alternatives=waves)
 
     return made

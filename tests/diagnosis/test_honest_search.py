@@ -1,7 +1,5 @@
 """Searching within the bounds of parameters, whatever sizes are tried, and whatever one trial does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -126,8 +124,8 @@ class NoRoot(Root):
     trial_values = ((0.01, 0.5),)
 
 
-def test_trials_whose_effects_are_no_numbers_are_told(table, read):
-    found = ssf.diagnose(read(table, "root.csv"), causes=[Root(), NoRoot()], gain=False)
+def test_trials_whose_effects_are_no_numbers_are_told(table, read_table):
+    found = ssf.diagnose(read_table(table, "root.csv"), causes=[Root(), NoRoot()], gain=False)
     (note,) = found.notes
     assert note.startswith("2 of the 3 trials of root are left out")
     assert note in found.summary().headline

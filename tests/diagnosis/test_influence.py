@@ -1,7 +1,5 @@
 """No cause rests on one or two rows, and none is named that predicts worse."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -66,7 +64,7 @@ def test_a_cause_that_predicts_worse_becomes_unknown_with_a_note(named):
     assert diagnosis_to_json(answer)["findings"][0]["note"] == left[0].note
 
 
-def test_counts_that_a_cause_explains_take_part_again(campaign, read, monkeypatch):
+def test_counts_that_a_cause_explains_take_part_again(campaign, read_table, monkeypatch):
     """Outlying beside an effect that the first test knows in part only; a count that is off stays out."""
     table = campaign(("2012-03-05", "2012-03-06"), replicates=2)
     table = table[table["joint"] == 3].reset_index(drop=True)
@@ -83,7 +81,7 @@ def test_counts_that_a_cause_explains_take_part_again(campaign, read, monkeypatc
 
     find_outliers = selection.find_outliers
     monkeypatch.setattr(selection, "find_outliers", find)
-    found = diagnose(read(table, "jump.csv"), causes=[SessionJump()], gain=False)
+    found = diagnose(read_table(table, "jump.csv"), causes=[SessionJump()], gain=False)
     assert rounds == [len(table)] * 2
     assert found.selection.outliers.tolist() == [off]
     assert {one.cause for one in found.findings} == {"end-stop-misfire", "session-jump"}

@@ -1,7 +1,5 @@
 """The JSON that others read: every field of the contract, of every verdict, with numbers or null."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What a law lacks: told from noise by replicates alone."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

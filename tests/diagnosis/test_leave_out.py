@@ -1,7 +1,5 @@
 """A test repeated without some rows, by linear algebra: beside the same test of a log that lacks them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
@@ -16,30 +14,25 @@ from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.extension import assess_residuals, make_selected
 from stickslip_fit.diagnosis.fold_selection import Refit, prepare_looks
 from stickslip_fit.diagnosis.gain import hold_out_configurations, select_in_fold
-from stickslip_fit.diagnosis.hypotheses import (
-    build_per_session_hypotheses,
-    make_hypothesis,
-    split_sessions,
-)
+from stickslip_fit.diagnosis.hypotheses import build_per_session_hypotheses, make_hypothesis, split_sessions
 from stickslip_fit.diagnosis.leave_out import LeftOut, Look
 from stickslip_fit.diagnosis.memory import AR1, Sequences
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.selection import select_causes
-from stickslip_fit.logs import read_log
 from stickslip_fit.logs.history import previous_rows
 from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
 
 FEW = ("drift", "theta-offset", "cable-torque", "q2-offset", "side-load")
 ALPHA = 0.01
 
 
 @pytest.fixture(scope="module")
-def problem(tmp_path_factory):
-    path = tmp_path_factory.mktemp("leave_out") / "log.csv"
-    hide("thesis", ("drift",), 14, seed=3).write(path)
+def problem():
+    log = read_hidden(hide("thesis", ("drift",), 14, seed=3))
     causes = [cause for cause in library() if cause.name in FEW]
-    return replace(problem_from_log(read_log(path), causes)[0], alternatives=alternatives)
+    return replace(problem_from_log(log, causes)[0], alternatives=alternatives)
 
 
 def alternatives(study):
@@ -167,11 +160,10 @@ def test_held_out_errors_are_those_of_the_whole_selection_repeated(problem):
     assert np.sqrt(np.mean((confirmed[1] - repeated[1]) ** 2)) < 0.1 * after
 
 
-def test_a_law_for_unknown_structure_is_searched_anew_in_each_fold(tmp_path):
+def test_a_law_for_unknown_structure_is_searched_anew_in_each_fold():
     """Without the search for causes, whose answer is clear; as in the search repeated."""
     log = hide("session", ("unknown:product",), 25, seed=5, forms={"unknown:product": "load and hours"})
-    log.write(tmp_path / "log.csv")
-    problem, _ = problem_from_log(read_log(tmp_path / "log.csv"))
+    problem, _ = problem_from_log(read_hidden(log))
     selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
     findings = size_findings(selection, selection.problem, ALPHA)
     assert [one.cause for one in findings] == [UNKNOWN]
@@ -206,12 +198,12 @@ def test_looks_that_are_not_clear_are_left_to_the_whole_selection(problem):
     assert prepare_looks(replace(selection, selected=(close,)), ALPHA) is not None
 
 
-def test_a_law_for_unknown_structure_is_searched_anew_beside_a_cause(tmp_path):
+def test_a_law_for_unknown_structure_is_searched_anew_beside_a_cause():
     """As in the search repeated, within a few hundredths of the noise."""
     hidden = ("session-jump", "unknown:harmonic")
     forms = {"session-jump": "table", "unknown:harmonic": "cos 3 q2"}
-    hide("session", hidden, (25, 25), seed=4, forms=forms).write(tmp_path / "log.csv")
-    problem, _ = problem_from_log(read_log(tmp_path / "log.csv"))
+    log = read_hidden(hide("session", hidden, (25, 25), seed=4, forms=forms))
+    problem, _ = problem_from_log(log)
     selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
     findings = size_findings(selection, selection.problem, ALPHA)
     assert [one.cause for one in findings] == ["session-jump", UNKNOWN]
@@ -225,12 +217,12 @@ def test_a_law_for_unknown_structure_is_searched_anew_beside_a_cause(tmp_path):
     assert np.sqrt(np.mean((confirmed[-1] - repeated[-1]) ** 2)) < 0.1 * after
 
 
-def test_a_law_for_unknown_structure_before_a_cause_is_searched_anew(tmp_path):
+def test_a_law_for_unknown_structure_before_a_cause_is_searched_anew():
     """As in the search repeated, where the cause was named after it."""
     hidden, forms = ("unknown:harmonic", "drift"), {"unknown:harmonic": "cos 3 q2"}
-    hide("session", hidden, (40, 14), seed=4, forms=forms).write(tmp_path / "log.csv")
+    log = read_hidden(hide("session", hidden, (40, 14), seed=4, forms=forms))
     causes = [cause for cause in library() if cause.name in FEW]
-    problem, _ = problem_from_log(read_log(tmp_path / "log.csv"), causes)
+    problem, _ = problem_from_log(log, causes)
     selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
     findings = size_findings(selection, selection.problem, ALPHA)
     assert [one.cause for one in selection.selected] == [UNKNOWN, "drift"]
@@ -249,11 +241,11 @@ def test_a_law_for_unknown_structure_before_a_cause_is_searched_anew(tmp_path):
     assert confirm_held_out_errors(prepare_looks(unclear, ALPHA), split, findings) is None
 
 
-def test_several_causes_are_those_of_the_whole_selection_repeated(tmp_path):
+def test_several_causes_are_those_of_the_whole_selection_repeated():
     """Each is asked for again with the others in the law, and where it was named first."""
-    hide("thesis", ("cable-torque", "drift"), 14, seed=3).write(tmp_path / "log.csv")
+    log = read_hidden(hide("thesis", ("cable-torque", "drift"), 14, seed=3))
     causes = [cause for cause in library() if cause.name in FEW]
-    problem = replace(problem_from_log(read_log(tmp_path / "log.csv"), causes)[0], alternatives=alternatives)
+    problem = replace(problem_from_log(log, causes)[0], alternatives=alternatives)
     selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
     findings = size_findings(selection, selection.problem, ALPHA)
     assert {one.cause for one in findings} == {"cable-torque", "drift"}
@@ -273,10 +265,10 @@ def test_several_causes_are_those_of_the_whole_selection_repeated(tmp_path):
     assert prepare_looks(replace(selection, selected=(second,)), ALPHA) is None  # another was first
 
 
-def test_a_moment_of_change_is_chosen_without_the_rows_held_out(tmp_path):
-    hide("session", ("session-jump",), 25, seed=4).write(tmp_path / "log.csv")
+def test_a_moment_of_change_is_chosen_without_the_rows_held_out():
+    log = read_hidden(hide("session", ("session-jump",), 25, seed=4))
     causes = [cause for cause in library() if cause.name in (*FEW, "session-jump")]
-    problem = replace(problem_from_log(read_log(tmp_path / "log.csv"), causes)[0], alternatives=alternatives)
+    problem = replace(problem_from_log(log, causes)[0], alternatives=alternatives)
     selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
     findings = size_findings(selection, selection.problem, ALPHA)
     assert [one.cause for one in findings] == ["session-jump"]

@@ -1,7 +1,5 @@
 """A linear stage of its own: four things at once, no traverse repeated, ends of its own for each traverse."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """What a plan can tell before any data."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -17,11 +15,11 @@ from stickslip_fit.diagnosis.misfit import compute_misfit
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.separability import assess_design, problem_from_plan
 from stickslip_fit.errors import InputError
-from stickslip_fit.logs import read_log
 from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
 from stickslip_fit.simulation import read_law_values
 from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
 
 LAW = Path(__file__).parents[2] / "data" / "reference" / "law.toml"
 MACHINE = load_machine()
@@ -153,12 +151,10 @@ def test_confusion_is_how_often_noise_makes_one_shape_look_like_the_other():
 
 
 @pytest.mark.parametrize("effect", ["drift", "psi-offset", "side-load"])
-def test_sizes_and_strengths_are_those_of_logs_that_hide_the_effect(effect, tmp_path):
+def test_sizes_and_strengths_are_those_of_logs_that_hide_the_effect(effect):
     hidden = hide("thesis", (effect,), strength=8.0, seed=2)
-    hidden.write(tmp_path / "log.csv")
-    problem, missing = problem_from_log(
-        read_log(tmp_path / "log.csv"), [c for c in library() if c.name == effect]
-    )
+    causes = [cause for cause in library() if cause.name == effect]
+    problem, missing = problem_from_log(read_hidden(hidden), causes)
     found = assess_design(problem, missing, 0.05, N_BOOTSTRAP, np.random.default_rng(1))
     (parameter,) = hidden.truth["effects"][0]["parameters"]
     size = abs(parameter["value"]) * {"%/h": 1 / 360_000, "deg": np.pi / 180, "%": 0.01}[parameter["unit"]]

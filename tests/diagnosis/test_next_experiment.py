@@ -1,11 +1,7 @@
 """The traverses that are proposed do decide, and none is proposed where none would."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -16,8 +12,8 @@ from stickslip_fit.diagnosis import diagnose, next_experiment
 from stickslip_fit.diagnosis.candidate_traverses import forecast_candidates
 from stickslip_fit.diagnosis.experiments import find_inseparable_pairs, suggest_traverses
 from stickslip_fit.laws import expected_steps, observed_count
-from stickslip_fit.logs import read_log
 from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
 
 SESSIONS = 200
 DAY_TO_DAY = 0.02
@@ -33,10 +29,7 @@ class Twin(Drift):
 
 @cache
 def log_of(design: str, effect: str, strength: float):
-    with TemporaryDirectory() as folder:
-        path = Path(folder, "log.csv")
-        hide(design, (effect,), strength=strength, seed=4).write(path)
-        return read_log(path)
+    return read_hidden(hide(design, (effect,), strength=strength, seed=4))
 
 
 @cache

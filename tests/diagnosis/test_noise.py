@@ -1,7 +1,5 @@
 """What counts as noise: uneven, heavy in the tails, with wild counts or memory; and what hides in it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

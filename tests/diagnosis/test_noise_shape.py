@@ -1,15 +1,9 @@
 """Noise that is skewed or coarsely rounded is seen where it is clear, and nowhere else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from stickslip_fit.diagnosis.noise_shape import (
-    Quantization,
-    find_count_spacing,
-    fit_skewness,
-)
+from stickslip_fit.diagnosis.noise_shape import Quantization, find_count_spacing, fit_skewness
 
 N, SESSIONS, KINDS = 480, 4, 40
 SESSION = np.arange(N) * SESSIONS // N

@@ -1,7 +1,5 @@
 """What makes a p-value larger: heavy tails in a small log, and rows that were set aside."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

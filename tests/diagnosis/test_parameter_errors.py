@@ -1,7 +1,5 @@
 """Standard errors of a cause's parameters: those of the fit that was made, under the noise that there is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -14,8 +12,8 @@ from stickslip_fit.diagnosis.effect_interval import expected_covariance, lineari
 from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.finding import shown_size
 from stickslip_fit.diagnosis.problem import problem_from_log
-from tests.hidden.gain_study import read as read_hidden
 from tests.hidden.generate import UnreachableError, hide
+from tests.hidden.reading import read_hidden
 from tests.hidden.study import DESIGNS, NOISES
 
 SIZES = {"thermal-warm-up": "A", "drift": "k", "end-stop-latency": "L"}

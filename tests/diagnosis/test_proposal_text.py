@@ -1,7 +1,5 @@
 """What is said and drawn of structure without a name: what is proposed, what it gains, what tests it."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -15,12 +13,12 @@ from stickslip_fit.diagnosis import Finding, Gain, diagnose
 from stickslip_fit.diagnosis._summary import write_headline
 from stickslip_fit.diagnosis._unknown_summary import describe_test, name_carriers
 from stickslip_fit.diagnosis.residuals import compare_residuals, finding_shape
-from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
 from stickslip_fit.plotting.diagnosis import plot_residuals
 from stickslip_fit.plotting.residuals import finding_picture
 from stickslip_fit.units import Interval
 from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
 
 BY_SESSION = pd.DataFrame({"session": ["a"], "baseline": [0.02], "extended": [0.004], "traverses": [9]})
 GAIN = Gain(0.0186, 0.0041, 0.0029, 0.013, 0.0155, BY_SESSION)
@@ -34,10 +32,8 @@ def hidden():
 
 
 @pytest.fixture(scope="module")
-def proposed(hidden, tmp_path_factory):
-    path = tmp_path_factory.mktemp("proposed") / "log.csv"
-    hidden.write(path)
-    diagnosis = diagnose(read_log(path), gain=False)
+def proposed(hidden):
+    diagnosis = diagnose(read_hidden(hidden), gain=False)
     assert [finding.cause for finding in diagnosis.findings] == ["unknown"]
     assert diagnosis.findings[0].version is not None
     return diagnosis

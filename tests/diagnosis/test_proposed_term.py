@@ -1,7 +1,5 @@
 """Unknown structure: recognised wherever it lies, given a law by a short term or a smooth function."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -24,10 +22,10 @@ from stickslip_fit.diagnosis.proposed_term import propose_term
 from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
 from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
 from stickslip_fit.laws import Prismatic
-from stickslip_fit.logs import read_log
 from tests.hidden.catalogue import EFFECTS
 from tests.hidden.effect import Effect, sized
 from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
 
 
 def sine_times_load(campaign, rng):
@@ -40,16 +38,14 @@ def sine_times_load(campaign, rng):
 
 
 @pytest.fixture(scope="module")
-def hidden_logs(tmp_path_factory):
+def hidden_logs():
     """A log with an effect that no cause describes, and a replicate of it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(EFFECTS, "unknown:test", {"only": sine_times_load})
-        logs = []
-        for replicate in (0, 1):
-            path = tmp_path_factory.mktemp("hidden") / "log.csv"
-            hide("many", ("unknown:test",), 20.0, "gaussian", (), 3, replicate=replicate).write(path)
-            logs.append(read_log(path))
-    return logs
+        return [
+            read_hidden(hide("many", ("unknown:test",), 20.0, "gaussian", (), 3, replicate=replicate))
+            for replicate in (0, 1)
+        ]
 
 
 @pytest.fixture(scope="module")
@@ -172,10 +168,8 @@ def test_an_alternative_has_the_effects_of_the_law_that_it_becomes(linearized, a
     assert difference < allowed * np.linalg.norm(covariance)
 
 
-def test_nothing_unknown_has_nothing_to_explain(tmp_path):
-    path = tmp_path / "log.csv"
-    hide("session", (), None, "gaussian", (), 2).write(path)
-    answer = diagnose(read_log(path), gain=False)
+def test_nothing_unknown_has_nothing_to_explain():
+    answer = diagnose(read_hidden(hide("session", (), None, "gaussian", (), 2)), gain=False)
     assert answer.verdict == "nothing wrong"
     assert answer.explain_unknown().empty
 
@@ -203,8 +197,7 @@ def test_rows_weigh_as_the_noise_that_was_found(tmp_path):
     """A tenth of the configurations is five times as noisy, and two counts are 30 % off."""
     hidden = hide("thesis", (), 0.0, "configurations", (), 5)
     counts = hidden.campaign.counts[hidden.campaign.plan.joint == 3]
-    hidden.write(tmp_path / "log.csv")
-    log = read_log(tmp_path / "log.csv")
+    log = read_hidden(hidden)
     log = log.select(log.rows["joint"] == 3)
     wrong = log.rows.index[[40, 100]]
     log.rows.loc[wrong, "steps"] = (1.3 * log.rows.loc[wrong, "steps"]).astype(int)

@@ -1,15 +1,13 @@
 """The size at which a cause is tried is a guess, and a guess that is ten times off finds it all the same."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from stickslip_fit.causes import Cause, library
 from stickslip_fit.diagnosis import diagnose
-from stickslip_fit.logs import read_log
 from tests.hidden.catalogue import CAUSES
 from tests.hidden.generate import hide, testable
+from tests.hidden.reading import read_hidden
 
 STRONG = 12.0
 NO_SIZES = {"tau", "n0", "moment", "phi", "x0", "w"}  # of the causes that have a size beside them
@@ -36,12 +34,12 @@ def rescaled(cause: Cause, factor: float) -> Cause:
     return other
 
 
-def names_found(cause: str, factor: float, path, design: str = "many") -> tuple[str, ...]:
+def names_found(cause: str, factor: float, design: str = "many") -> tuple[str, ...]:
     """The first finding, with what is as likely, of a log in which a cause is hidden."""
     seed = next(seed for seed in range(40) if cause in testable(design, seed, STRONG))
-    hide(design, (cause,), STRONG, seed=seed, forms={cause: "table"}).write(path)
+    log = read_hidden(hide(design, (cause,), STRONG, seed=seed, forms={cause: "table"}))
     causes = [rescaled(one, factor) if one.name == cause else one for one in library()]
-    findings = diagnose(read_log(path), causes=causes, gain=False).findings
+    findings = diagnose(log, causes=causes, gain=False).findings
     return (findings[0].cause, *findings[0].equivalent) if findings else ()
 
 
@@ -49,12 +47,12 @@ def names_found(cause: str, factor: float, path, design: str = "many") -> tuple[
     ("cause", "factor"),
     [("theta-offset", 10.0), pytest.param("recoil-shape", 0.1, marks=pytest.mark.nightly)],
 )
-def test_a_cause_tried_at_another_size_is_found_in_a_small_log(cause, factor, tmp_path):
-    assert cause in names_found(cause, factor, tmp_path / "log.csv", "session")
+def test_a_cause_tried_at_another_size_is_found_in_a_small_log(cause, factor):
+    assert cause in names_found(cause, factor, "session")
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("factor", [0.1, 10.0])
 @pytest.mark.parametrize("cause", SCALABLE)
-def test_a_cause_tried_at_a_tenth_or_ten_times_its_size_is_found(cause, factor, tmp_path):
-    assert cause in names_found(cause, factor, tmp_path / "log.csv")
+def test_a_cause_tried_at_a_tenth_or_ten_times_its_size_is_found(cause, factor):
+    assert cause in names_found(cause, factor)

@@ -1,7 +1,5 @@
 """The searches of a diagnosis: what is told of outliers is that of the search that was made last."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +12,8 @@ from stickslip_fit.diagnosis.combinations import find_needless
 from stickslip_fit.diagnosis.extension import compute_evidence, extend_problem, make_selected
 from stickslip_fit.diagnosis.noise import Outliers
 from stickslip_fit.diagnosis.problem import problem_from_log
-from stickslip_fit.logs import read_log
 from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
 
 MISFIRE = "end-stop-misfire"
 
@@ -36,10 +34,9 @@ def searches(monkeypatch):
     return sizes
 
 
-def test_outliers_are_the_rows_that_the_last_search_was_made_without(searches, campaign, tmp_path):
+def test_outliers_are_the_rows_that_the_last_search_was_made_without(searches, campaign, read_table):
     """Every search asks for another, so that the number of searches ends them."""
-    campaign(("2012-03-05",), replicates=1).to_csv(tmp_path / "log.csv", index=False)
-    log = read_log(tmp_path / "log.csv")
+    log = read_table(campaign(("2012-03-05",), replicates=1))
     (finding,) = diagnose(log, gain=False).findings
     assert len(searches) == pipeline.MAX_SEARCHES
     assert finding.cause == MISFIRE
@@ -47,11 +44,11 @@ def test_outliers_are_the_rows_that_the_last_search_was_made_without(searches, c
     assert list(finding.traverses.index) == list(range(pipeline.MAX_SEARCHES - 1))
 
 
-def test_a_cause_without_which_the_law_is_as_likely_is_needless(tmp_path):
+def test_a_cause_without_which_the_law_is_as_likely_is_needless():
     """Only drift is hidden; side-load is fitted to noise."""
-    hide("thesis", ("drift",), 14, seed=3).write(tmp_path / "log.csv")
+    log = read_hidden(hide("thesis", ("drift",), 14, seed=3))
     causes = [cause for cause in library() if cause.name in ("drift", "side-load")]
-    problem, _ = problem_from_log(read_log(tmp_path / "log.csv"), causes)
+    problem, _ = problem_from_log(log, causes)
     misfit = compute_evidence(problem.linearize(), problem)
     selected = [make_selected(misfit, form_cause_set(misfit, name)) for name in ("drift", "side-load")]
     _, whole, _ = extend_problem(problem, selected)

@@ -1,7 +1,5 @@
 """Residuals against what varied: unbiased means, an envelope that holds, the right carrier."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Smooth functions in the law: their fit is that of a Gaussian process, and so is their evidence."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,8 +9,8 @@ from stickslip_fit.causes import CauseParameter
 from stickslip_fit.causes.smooth import LinearFactor, cosines, prior_sds
 from stickslip_fit.diagnosis.linearized import linearize_fit
 from stickslip_fit.diagnosis.problem import problem_from_log
-from stickslip_fit.logs import read_log
 from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
 
 SD = prior_sds(0.15)
 
@@ -44,10 +42,8 @@ class WithTheHour(LinearFactor):
 
 
 @pytest.fixture(scope="module")
-def log_problem(tmp_path_factory):
-    path = tmp_path_factory.mktemp("smooth") / "log.csv"
-    hide("thesis", seed=4).write(path)
-    return problem_from_log(read_log(path))[0]
+def log_problem():
+    return problem_from_log(read_hidden(hide("thesis", seed=4)))[0]
 
 
 def test_a_penalised_fit_is_the_ridge_solution_and_without_a_prior_least_squares(log_problem):

@@ -1,7 +1,5 @@
 """Which change of the stage a finding stands for: friction's own generator, and the closed form of a step."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
@@ -90,10 +88,10 @@ def test_a_change_that_takes_some_loads_into_the_other_regime_is_found():
     assert min(fits["friction"].deviance for fits in found.fits) > best["ramp time"].deviance + 30
 
 
-def test_laws_of_more_parameters_are_no_likelier_for_them(read):
+def test_laws_of_more_parameters_are_no_likelier_for_them(read_table):
     """Joint 2's friction-limited law has an inertia in every session, its velocity-limited one none."""
     hidden = drive_stage("many", Stage("velocity"), "friction:humidity", 0.1, seed=16049)
-    log = read(hidden.table[hidden.table["joint"] == 2], "many.csv")
+    log = read_table(hidden.table[hidden.table["joint"] == 2], "many.csv")
     limited = []
     for way in "+-":
         rows = log.usable[log.usable["direction"] == way].reset_index(drop=True)
@@ -113,10 +111,10 @@ CASES = {  # change: quantities that it may be, what it is called; rates are in 
 
 
 @pytest.mark.parametrize(("regime", "change"), CASES)
-def test_a_hidden_change_of_a_stage_is_read(read, regime, change):
+def test_a_hidden_change_of_a_stage_is_read(read_table, regime, change):
     expected, size = CASES[regime, change]
     table = drive_stage("session", Stage(regime), change, 0.1, seed=1).table
-    log = read(table[table["joint"] == 3], "stage.csv")
+    log = read_table(table[table["joint"] == 3], "stage.csv")
     causes = [Wear()] if change == "wear" else [SessionJump(), PayloadChange()]
     found = diagnose(log, laws={3: ssf.physical_law}, causes=causes, gain=False)
     (reading,) = read_stage(found.selection, found.findings, log.machine)
@@ -129,12 +127,12 @@ def test_a_hidden_change_of_a_stage_is_read(read, regime, change):
     assert read_size.estimate == pytest.approx(size, abs=4 * error)
 
 
-def test_a_log_of_the_published_law_has_no_change_of_a_stage(campaign, read):
+def test_a_log_of_the_published_law_has_no_change_of_a_stage(campaign, read_table):
     """Its response to load is straight: the physical law does not describe joint 3."""
     table = campaign(("2012-03-05", "2012-03-06"), replicates=2)
     late = (table["session"] == "2012-03-06") & (np.arange(len(table)) > 0.75 * len(table))
     table.loc[late, "steps"] = (table.loc[late, "steps"] / 1.05 / 5).round().astype(int) * 5
-    log = read(table[table["joint"] == 3], "published.csv")
+    log = read_table(table[table["joint"] == 3], "published.csv")
     found = diagnose(log, causes=[SessionJump()], gain=False)
     assert [one.cause for one in found.findings] == ["session-jump"]
     assert read_stage(found.selection, found.findings, log.machine) == ()

@@ -1,7 +1,5 @@
 """What is said of a diagnosis: the right cause, sizes and cure, and never more than the log shows."""
 
-from __future__ import annotations
-
 import re
 from copy import copy
 from dataclasses import replace
@@ -137,28 +135,28 @@ def test_a_log_too_small_says_so_and_what_would_suffice(tiny):
 
 
 @pytest.mark.parametrize("rows", [1, 2, 5, 12])
-def test_hardly_any_rows_are_no_error(table, read, rows):
-    diagnosis = diagnose(read(table.head(rows), "few.csv"), gain=False)
+def test_hardly_any_rows_are_no_error(table, read_table, rows):
+    diagnosis = diagnose(read_table(table.head(rows), "few.csv"), gain=False)
     assert diagnosis.verdict == "nothing wrong"
     assert "too few traverses" in str(diagnosis)
 
 
-def test_as_many_traverses_as_it_asks_for_suffice(table, read):
+def test_as_many_traverses_as_it_asks_for_suffice(table, read_table):
     """Three groups of a session and direction with as many parameters as configurations, and 10 beyond."""
     upright = table[(table["joint"] == 3) & (table["direction"] == "+") & (table["session"] == "2012-03-05")]
-    short = diagnose(read(upright.head(12), "short.csv"), gain=False)
+    short = diagnose(read_table(upright.head(12), "short.csv"), gain=False)
     missing = int(re.search(r"add (\d+) in", told(short))[1])
     assert "too few" not in told(
-        diagnose(read(upright.head(12 + missing), "enough.csv"), alpha=0.1, gain=False)
+        diagnose(read_table(upright.head(12 + missing), "enough.csv"), alpha=0.1, gain=False)
     )
-    assert "too few" in told(diagnose(read(upright.head(11 + missing), "short.csv"), alpha=0.1, gain=False))
+    assert "too few" in told(diagnose(read_table(upright.head(11 + missing)), alpha=0.1, gain=False))
 
 
-def test_a_constant_column_is_not_testable_and_a_twin_is_told(table, read):
+def test_a_constant_column_is_not_testable_and_a_twin_is_told(table, read_table):
     rng = np.random.default_rng(3)
     draught = rng.normal(size=len(table))
     twins = table.assign(draught=draught, copy=5.0 - 3.0 * draught, bench=7.0, supply_V=230.0)
-    found = diagnose(read(twins, "twins.csv"), alpha=ALPHA, gain=False)
+    found = diagnose(read_table(twins, "twins.csv"), alpha=ALPHA, gain=False)
     assert found.inclusion["covariate:bench"] is None
     assert found.inclusion["supply-voltage"] is None
     assert "the same within every session" in found.untestable["covariate:bench"]
@@ -171,10 +169,10 @@ def test_a_constant_column_is_not_testable_and_a_twin_is_told(table, read):
     )
 
 
-def test_of_twins_either_may_be_to_blame(table, read):
+def test_of_twins_either_may_be_to_blame(table, read_table):
     draught = np.random.default_rng(3).normal(size=len(table))
     twins = changed(table, 0.01 * draught).assign(draught=draught, copy=5.0 - 3.0 * draught)
-    found = diagnose(read(twins, "twins.csv"), alpha=ALPHA, gain=False)
+    found = diagnose(read_table(twins, "twins.csv"), alpha=ALPHA, gain=False)
     assert found.verdict == "cannot tell apart"
     blamed = {found.findings[0].cause, *found.findings[0].equivalent}
     assert blamed == {"covariate:draught", "covariate:copy"}
@@ -231,8 +229,8 @@ def test_what_began_in_a_session_is_told_with_its_moment(version):
     assert "by 360,000 % 60 min into session Tuesday" in describe_effect(finding_of(version, 3600.0))
 
 
-def test_a_cause_without_a_sentence_is_told_by_its_phrase(table, read):
-    (subset,) = covariates(read(table.assign(gain=1.0), "gain.csv").rows)
+def test_a_cause_without_a_sentence_is_told_by_its_phrase(table, read_table):
+    (subset,) = covariates(read_table(table.assign(gain=1.0), "gain.csv").rows)
     own = finding_of(subset, 0.02)
     # A finding of a covariate has no parameters.
     assert describe_effect(replace(own, parameters=())) == "Steps follow the column gain, by 1.0 % rms"
@@ -250,12 +248,12 @@ def test_a_parameter_that_is_not_known_leaves_the_sentence_true():
     )
 
 
-def test_outliers_are_handed_back(table, read):
+def test_outliers_are_handed_back(table, read_table):
     rng = np.random.default_rng(8)
     out = np.sort(rng.choice(len(table), 3, replace=False))
     relative = np.zeros(len(table))
     relative[out] = [0.09, -0.06, 0.12]
-    found = diagnose(read(changed(table, relative), "wild.csv"), alpha=ALPHA, gain=False)
+    found = diagnose(read_table(changed(table, relative), "wild.csv"), alpha=ALPHA, gain=False)
     assert found.findings[0].cause == "end-stop-misfire"
     seen = found.findings[0].traverses
     assert sorted(seen["departure"]) == pytest.approx([-0.062, 0.086, 0.113], abs=0.012)
@@ -266,9 +264,9 @@ def test_outliers_are_handed_back(table, read):
     )
 
 
-def test_a_jump_is_told_with_its_moment(table, read):
+def test_a_jump_is_told_with_its_moment(table, read_table):
     jump = 0.015 * ((hours_in(table) > 4.0) & (table["session"] == "2012-03-06").to_numpy())
-    found = diagnose(read(changed(table, -jump), "jump.csv"), alpha=ALPHA, gain=False)
+    found = diagnose(read_table(changed(table, -jump), "jump.csv"), alpha=ALPHA, gain=False)
     said = re.search(r"Steps grow by (\d\.\d+) % (\d+) min into session 2012-03-06, and stay so", told(found))
     assert said
     assert float(said[1]) == pytest.approx(1.5, abs=0.2)

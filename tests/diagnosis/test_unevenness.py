@@ -1,18 +1,11 @@
 """Noise that is many times larger somewhere is seen, whatever it follows; noise as assumed is not uneven."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
 
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.unevenness import (
-    Grouping,
-    Residuals,
-    estimate_unevenness,
-    group_rows,
-)
+from stickslip_fit.diagnosis.unevenness import Grouping, Residuals, estimate_unevenness, group_rows
 
 N, KINDS = 480, 40
 SESSION = np.arange(N) * 4 // N

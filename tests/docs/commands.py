@@ -1,7 +1,5 @@
 """Lines of a shell as a page has them: run, or checked for their options where they need a rig."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

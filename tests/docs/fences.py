@@ -1,7 +1,5 @@
 """Code blocks of a Markdown page, with where they stand and which file they show."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The files that the pages talk about, small: docs/howto/index.md lists them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from stickslip_fit.logs import write_log

@@ -1,7 +1,5 @@
 """The documentation built as `make docs` builds it, once for all tests of a run."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

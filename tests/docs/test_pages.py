@@ -1,7 +1,5 @@
 """Every command and snippet of README, CONTRIBUTING and docs is run, page by page and in order."""
 
-from __future__ import annotations
-
 import ast
 import doctest
 import json

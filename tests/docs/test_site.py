@@ -1,7 +1,5 @@
 """The built site: no warnings, links inside it lead somewhere, and nothing is fetched from elsewhere."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from html.parser import HTMLParser

@@ -1,7 +1,5 @@
 """The page that puts the thesis's claims to a simulated campaign, against independent arithmetic."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

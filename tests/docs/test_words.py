@@ -1,7 +1,5 @@
 """What pages say in passing: options that exist, a citation to be read, the version of the package."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from stickslip_fit.estimation import fit_least_squares

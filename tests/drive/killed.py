@@ -5,8 +5,6 @@ process. Where the joints truly are outlives the drive in shared memory: they st
 step by single step, each half a standard deviation farther than it says.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import random

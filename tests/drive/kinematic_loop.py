@@ -1,7 +1,5 @@
 """A loop with nothing but kinematics, in place of a drive: what is wanted moves the tip, and errors grow."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A rig for drives in tests: joints that step as they are told, and inputs that say what they are told."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

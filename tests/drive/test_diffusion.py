@@ -1,7 +1,5 @@
 """Error diffusion: whole steps follow the target, never more than a tick has room for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Dead reckoning of a drive beside the emulated manipulator, burst by burst."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Going home, at the emulated rig: the end of a joint's uncertainty, and a row of a log."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -15,11 +13,13 @@ from stickslip_fit.drive.emulated import draw_laws
 from stickslip_fit.drive.homing import HomingLog, StopFinder
 from stickslip_fit.drive.loop import DriveLoop
 from stickslip_fit.drive.record import DriveReplay, begin_record
+from stickslip_fit.drive.state import VelocityInput
 from stickslip_fit.logs import read_log
 from stickslip_fit.logs.plan import Noise
 from stickslip_fit.moves import DriveReckoning
 from stickslip_fit.moves.arm import Z_95
 from tests.drive.rig import Hand, Shown, joint
+from tests.drive.test_loop import drive_of
 
 REPEATABILITY = Noise({(number, way): 0.0027 for number in (1, 2, 3) for way in "+-"})
 
@@ -69,8 +69,6 @@ class Once:
         self.number, self.at, self.then, self.asked = number, at, then, False
 
     def read(self, now):
-        from stickslip_fit.drive.state import VelocityInput
-
         if now >= self.at and not self.asked:
             self.asked = True
             return VelocityInput(home=self.number, valid_until=now + 0.05)
@@ -79,7 +77,6 @@ class Once:
 
 def away_and_home(rate, seconds, number=3):
     """Moves a joint by hand, brings it home, and ends."""
-    from stickslip_fit.drive.state import VelocityInput
 
     def then(now, asked):
         if asked or now >= seconds + 0.5:
@@ -165,8 +162,6 @@ def test_a_joint_at_its_stop_stays_there(bench, monkeypatch):
 
 
 def test_without_a_microphone_nothing_goes_home(arm):
-    from tests.drive.test_loop import drive_of
-
     loop, controller, _ = drive_of(arm, [(0.5, {"home": 3})])
     state = loop.run()
     assert not controller.made

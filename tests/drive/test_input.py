@@ -1,7 +1,5 @@
 """The keyboard: a terminal reports no key release."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A capture on a page: what it shows is what the operator saw, and it decides nothing."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

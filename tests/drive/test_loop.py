@@ -1,8 +1,8 @@
 """The loop, on joints that step as they are told."""
 
-from __future__ import annotations
-
+import json
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from stickslip_fit.capture.protocols import VirtualClock
 from stickslip_fit.causes import library
 from stickslip_fit.drive.loop import DriveLoop, StepTiming
 from stickslip_fit.drive.record import BurstRecord
+from stickslip_fit.drive.state import VelocityInput
 from stickslip_fit.drive.velocity import joint_velocity
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.logs import read_log
@@ -87,8 +88,6 @@ def test_the_rate_is_that_of_the_controller(arm, period, command, rate):
 def test_nothing_moves_once_the_input_is_no_longer_valid(arm):
     class Once:
         def read(self, now):
-            from stickslip_fit.drive.state import VelocityInput
-
             return VelocityInput(**tip(0, 0, 60), valid_until=0.5, ends=now > 2)
 
     loop, controller, shown = drive_of(arm, [])
@@ -222,8 +221,6 @@ def test_a_tick_takes_a_fifth_of_a_millisecond_at_most(arm, warm):
 
 
 def test_the_state_goes_out_in_plain_numbers(arm):
-    import json
-
     loop, _, _ = drive_of(arm, [(2.0, tip(0, 20, 0))], tolerance=1e-7)
     content = json.loads(json.dumps(loop.run().to_json()))
     assert content["advice"]["joint"] == 1
@@ -233,8 +230,6 @@ def test_the_state_goes_out_in_plain_numbers(arm):
 
 
 def test_a_joint_without_calibration_stays_where_it_is_and_the_others_go(arm):
-    from dataclasses import replace
-
     joints = {number: arm.result.joints[number] for number in (2, 3)}
     partial = replace(arm, result=replace(arm.result, joints=joints))
     wishes = [(1.0, tip(20, 0, 10)), (2.0, tip(0, 20, 0))]
@@ -249,8 +244,6 @@ def test_a_joint_without_calibration_stays_where_it_is_and_the_others_go(arm):
 
 def test_a_law_without_error_bars_drives_nothing(arm):
     """Nobody could say how surely the tip is where it is said to be, nor where a soft limit lies."""
-    from dataclasses import replace
-
     fits = {
         number: replace(fit, covariance=np.full_like(fit.covariance, np.nan))
         for number, fit in arm.result.joints.items()

@@ -1,7 +1,5 @@
 """The page of a drive: who is answered, how long what is held holds, and what is shown."""
 
-from __future__ import annotations
-
 import json
 import socket
 import threading
@@ -246,10 +244,9 @@ def test_the_end_is_for_good(held, fingers):
 def test_no_other_message_is_understood(change):
     page = DrivePage(load_machine())
     page.join("a")
-    message = {"client": "a", "number": 1, "sent": 0.0, "press": 1, "direction": [1, 0, 0], "speed": SPEED}
-    page.receive(json.dumps(message).encode())
+    page.receive(message())
     with pytest.raises(RefusalError, match="no message"):
-        page.receive(json.dumps(message | {"number": 2} | change).encode())
+        page.receive(message(**{"number": 2} | change))
     with pytest.raises(RefusalError, match="no message"):
         page.receive(b"\xff{")
 
@@ -532,12 +529,9 @@ def test_no_more_pages_than_a_browser_has_connections_for(served):
 
 def test_pages_are_told_of_the_end():
     with serve_drive_page(load_machine(), "law") as page:
-        parts = urlsplit(page.address)
-        connection = HTTPConnection(parts.hostname, parts.port, timeout=5)
-        connection.request("GET", f"{parts.path}events")
-        answer = connection.getresponse()
-    assert answer.read().endswith(b'"ended":true}\n\n')
-    connection.close()
+        parts, told = urlsplit(page.address), OpenPage(page)
+    assert told.answer.read().endswith(b'"ended":true}\n\n')
+    told.close()
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection((parts.hostname, parts.port), timeout=1)
 

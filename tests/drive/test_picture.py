@@ -1,7 +1,5 @@
 """The picture of the arm against trigonometry done here, and its ellipse against drawn errors."""
 
-from __future__ import annotations
-
 from itertools import product
 from math import cos, degrees, hypot, pi, radians, sin
 
@@ -160,8 +158,7 @@ def test_a_round_number_is_its_own(value):
     assert round_down(0.999 * value) < value
 
 
-def test_a_machine_without_lengths_is_refused(tmp_path):
-    path = tmp_path / "stage.toml"
-    path.write_text('[[joint]]\nkind = "prismatic"\nrange_mm = [0, 10]\n')
+def test_a_machine_without_lengths_is_refused(machine_of):
+    machine = machine_of('[[joint]]\nkind = "prismatic"\nrange_mm = [0, 10]\n')
     with pytest.raises(InputError, match="a picture of the arm"):
-        draw_arm(state_at(0, 0, 0), load_machine(path), 80, 15)
+        draw_arm(state_at(0, 0, 0), machine, 80, 15)

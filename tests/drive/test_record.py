@@ -1,7 +1,5 @@
 """What a journal says of a drive that was broken off."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -9,6 +7,7 @@ from zlib import crc32
 
 import pytest
 
+from stickslip_fit.capture.journal import read_journal
 from stickslip_fit.drive.diffusion import Burst
 from stickslip_fit.drive.record import DriveReplay, begin_record, resume_record
 from stickslip_fit.errors import InputError
@@ -71,8 +70,6 @@ def test_a_long_motion_is_kept_short(arm, journal):
     drive_on(record, drive, MOVES * 4)
     record.close()
     replay = DriveReplay()
-    from stickslip_fit.capture.journal import read_journal
-
     read_journal(journal, replay.apply)
     assert len(replay.bursts) < 500
 
@@ -92,8 +89,6 @@ SNAPSHOT |= {"variance": [0.0, 0.0, 0.0], "doubt": [0.0, 0.0, 0.0]}
 
 
 def test_the_journals_of_these_tests_are_whole_otherwise(journal):
-    from stickslip_fit.capture.journal import read_journal
-
     journal.write_bytes(record_of({"number": 0, "event": "begun", **BEGUN, "snapshot": SNAPSHOT}))
     assert read_journal(journal, DriveReplay().apply).count == 1
 

@@ -1,7 +1,5 @@
 """A drive rehearsed: the table is the loop's and the manipulator's own, and 95 % means 95 %."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import chi2

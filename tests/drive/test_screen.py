@@ -1,7 +1,5 @@
 """The terminal's screen, and one that is frozen."""
 
-from __future__ import annotations
-
 import io
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """Scripts of velocities."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

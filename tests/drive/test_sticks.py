@@ -1,7 +1,5 @@
 """Gamepad and SpaceMouse, played; and what is said without them."""
 
-from __future__ import annotations
-
 import sys
 import threading
 import time

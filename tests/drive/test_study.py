@@ -3,8 +3,6 @@
 The bounds are those of the claims, less three standard errors of the shares of so many drives.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The keyboard drives the emulated rig in a pseudo-terminal, by the real clock."""
 
-from __future__ import annotations
-
 import os
 import re
 import select

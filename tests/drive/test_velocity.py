@@ -1,7 +1,5 @@
 """From a tip velocity to joint velocities, against numpy's least squares with the machine's Jacobian."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The command, at the emulated rig."""
 
-from __future__ import annotations
-
 import re
 from datetime import UTC, datetime
 from pathlib import Path

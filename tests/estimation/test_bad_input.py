@@ -1,7 +1,5 @@
 """What no estimator can make good numbers of: each says so, by name, and never with a silent NaN."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,7 +8,7 @@ from stickslip_fit.bayes import fit_bayes
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_closed_form, fit_least_squares
 from stickslip_fit.estimation.noise import StudentT
-from stickslip_fit.logs import read_log
+from tests.conftest import CALIBRATION_3
 
 ESTIMATORS = {
     "closed-form": fit_closed_form,
@@ -20,11 +18,6 @@ ESTIMATORS = {
 }
 NUMBERS = ["estimate", "standard_error", "low", "high"]
 DAYS = ("2012-03-05", "2012-03-06")
-CALIBRATION_3 = (
-    {"joint": 3, "q2_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0},
-)
 CALIBRATION_2 = tuple(
     {"joint": 2, "q3_mm": q3, "theta_deg": theta} for theta in (0.0, -90.0) for q3 in (0.0, 12.0)
 )
@@ -52,12 +45,11 @@ def method(request):
 
 
 @pytest.fixture
-def fit(method, tmp_path):
+def fit(method, read_table):
     """Fit a table; whatever is not a number is flagged, and every flag has its remark."""
 
     def estimate(table):
-        table.to_csv(tmp_path / "log.csv", index=False)
-        result = ESTIMATORS[method](read_log(tmp_path / "log.csv"))
+        result = ESTIMATORS[method](read_table(table))
         parameters = result.si.parameters
         unknown = parameters[NUMBERS].isna().any(axis=1)
         assert parameters.loc[unknown, "flags"].map(len).all()

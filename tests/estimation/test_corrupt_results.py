@@ -1,7 +1,5 @@
 """Results that are corrupt, foreign or newer end with one message; those of every released version load."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re

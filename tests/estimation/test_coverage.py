@@ -1,7 +1,5 @@
 """Intervals cover what they say: many campaigns that differ in nothing but their noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +8,6 @@ from scipy.stats import norm
 from scipy.stats import t as student_t
 
 from stickslip_fit.estimation import fit_closed_form, fit_least_squares
-from stickslip_fit.logs import read_log
 
 REPEATABILITY = 0.0027
 TRUTH = {
@@ -48,40 +45,31 @@ def level(off, df):
     return 2 * student_t.cdf(off, df) - 1
 
 
-def study(estimator, campaign, folder, sessions, campaigns, seed):
+def study(estimator, campaign, read_table, sessions, campaigns, seed):
     days = tuple(str(np.datetime64("2012-03-05") + np.timedelta64(index, "D")) for index in range(sessions))
     table = campaign(sessions=days, repeatability=0.0, check_every=1)
     expected = table["steps"].to_numpy(float)
     table["steps"], table["check_every"] = 5 * np.ceil(expected / 5).astype(int), 5
-    table.to_csv(folder / "log.csv", index=False)
-    log = read_log(folder / "log.csv")
-    rng = np.random.default_rng(seed)
+    log, rng = read_table(table), np.random.default_rng(seed)
     found = [levels(estimator(noisy(log, expected, rng)), log.usable, expected) for _ in range(campaigns)]
     return np.array([part for part, _ in found]), np.array([part for _, part in found])
 
 
-def assert_covers(parameters, predicted):
+@pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
+@pytest.mark.parametrize(
+    ("sessions", "campaigns", "seed"),
+    [(3, 10, 1), *(pytest.param(sessions, 1000, 2, marks=pytest.mark.nightly) for sessions in (1, 3, 20))],
+)
+def test_intervals_cover(campaign, read_table, estimator, sessions, campaigns, seed):
     """Each parameter within the binomial error of the largest of so many; in the mean, also predictions.
 
     A campaign's intervals share its noise, so that the mean's error is the scatter from campaign to campaign.
     """
-    campaigns, count = parameters.shape
+    parameters, predicted = study(estimator, campaign, read_table, sessions, campaigns, seed)
     for nominal in (0.95, 0.68):
         share = np.mean(parameters < nominal, axis=0)
         spread = np.sqrt(nominal * (1 - nominal) / campaigns)
-        assert np.abs(share - nominal).max() < norm.ppf(1 - 0.0005 / count) * spread
+        assert np.abs(share - nominal).max() < norm.ppf(1 - 0.0005 / parameters.shape[1]) * spread
         for levels in (parameters, predicted):
             inside = np.mean(levels < nominal, axis=1)
             assert np.mean(inside) == pytest.approx(nominal, abs=4 * np.std(inside) / np.sqrt(campaigns))
-
-
-@pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
-def test_intervals_cover(campaign, tmp_path, estimator):
-    assert_covers(*study(estimator, campaign, tmp_path, sessions=3, campaigns=10, seed=1))
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("sessions", [1, 3, 20])
-@pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
-def test_intervals_cover_over_a_thousand_campaigns(campaign, tmp_path, estimator, sessions):
-    assert_covers(*study(estimator, campaign, tmp_path, sessions, campaigns=1000, seed=2))

@@ -1,7 +1,5 @@
 """lambda and what its choice leaves open: against fits with one lambda at a time, by least squares."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,18 +7,12 @@ from scipy.stats import binom, ttest_ind
 
 from stickslip_fit.estimation import fit_closed_form, fit_least_squares
 from stickslip_fit.estimation.prediction import control_chart, format_latest_control, latest_control
-from stickslip_fit.logs import read_log
-
-CALIBRATION = (
-    {"joint": 3, "q2_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0},
-)
+from tests.conftest import CALIBRATION_3
 
 
-def fitted(table: pd.DataFrame, folder):
-    table.to_csv(folder / "log.csv", index=False)
-    return fit_least_squares(read_log(folder / "log.csv"))
+@pytest.fixture
+def fit(read_table):
+    return lambda table: fit_least_squares(read_table(table))
 
 
 @pytest.fixture
@@ -29,7 +21,7 @@ def drifting(campaign):
 
     def make(last: float, seed: int = 1) -> pd.DataFrame:
         days = tuple(f"2012-03-{day:02d}" for day in range(1, 11))
-        table = campaign(sessions=days, settings=CALIBRATION)
+        table = campaign(sessions=days, settings=CALIBRATION_3)
         factor = np.exp(0.02 * np.random.default_rng(seed).standard_normal(10))
         factor[-1] *= last
         table["steps"] = (
@@ -40,8 +32,8 @@ def drifting(campaign):
     return make
 
 
-def test_a_usual_day_is_as_expected(drifting, tmp_path):
-    found = latest_control(fitted(drifting(1.0), tmp_path))
+def test_a_usual_day_is_as_expected(drifting, fit):
+    found = latest_control(fit(drifting(1.0)))
     assert len(found) == 6
     assert not found["surprising"].any()
     assert (
@@ -50,8 +42,8 @@ def test_a_usual_day_is_as_expected(drifting, tmp_path):
     )
 
 
-def test_a_drive_that_lost_a_quarter_of_its_step_is_told(drifting, tmp_path):
-    found = latest_control(fitted(drifting(0.75), tmp_path))
+def test_a_drive_that_lost_a_quarter_of_its_step_is_told(drifting, fit):
+    found = latest_control(fit(drifting(0.75)))
     told = format_latest_control(found)
     assert set(found.loc[found["surprising"], "name"]) == {"a", "c"}
     assert "joint 3 + a: " in told
@@ -59,23 +51,23 @@ def test_a_drive_that_lost_a_quarter_of_its_step_is_told(drifting, tmp_path):
 
 
 @pytest.mark.parametrize("campaigns", [8, pytest.param(300, marks=pytest.mark.nightly)])
-def test_the_stated_rate_of_surprises_holds(drifting, tmp_path, campaigns):
+def test_the_stated_rate_of_surprises_holds(drifting, fit, campaigns):
     """Usual days only: a surprise anywhere in about 1 of 100; parameters move together, so fewer."""
-    logs = (fitted(drifting(1.0, seed), tmp_path) for seed in range(campaigns))
+    logs = (fit(drifting(1.0, seed)) for seed in range(campaigns))
     surprised = sum(latest_control(log)["surprising"].any() for log in logs)
     assert surprised <= binom.ppf(0.999, campaigns, 0.01)
 
 
-def test_three_sessions_are_too_few(campaign, tmp_path):
+def test_three_sessions_are_too_few(campaign, fit):
     days = ("2012-03-01", "2012-03-02", "2012-03-03")
-    found = latest_control(fitted(campaign(sessions=days, settings=CALIBRATION), tmp_path))
+    found = latest_control(fit(campaign(sessions=days, settings=CALIBRATION_3)))
     assert found.empty
     assert "takes 3 earlier ones" in format_latest_control(found)
 
 
-def test_a_surprise_is_what_a_t_test_of_one_against_all_before_finds(drifting, tmp_path):
+def test_a_surprise_is_what_a_t_test_of_one_against_all_before_finds(drifting, fit):
     """The limit is where the test's p reaches 1 % over the session's six parameters."""
-    chart = control_chart(fitted(drifting(0.93), tmp_path))
+    chart = control_chart(fit(drifting(0.93)))
     checked = 0
     for _, history in chart.groupby(["direction", "name"]):
         estimates = history["estimate"].to_numpy()
@@ -105,22 +97,22 @@ def test_earlier_limits_are_those_that_were_seen_then(drifting, read_table):
         pd.testing.assert_frame_equal(now[limits], then[limits])
 
 
-def test_one_usual_session_in_a_hundred_has_a_point_outside(drifting, tmp_path):
+def test_one_usual_session_in_a_hundred_has_a_point_outside(drifting, fit):
     """Over 1,500 sessions whose parameters change independently."""
-    fit = fitted(drifting(1.0), tmp_path)
+    result = fit(drifting(1.0))
     sessions, rng = 1500, np.random.default_rng(5)
     names = np.repeat([f"day {number:04d}" for number in range(sessions)], 2)
     groups = pd.DataFrame({"session": names.astype(object), "direction": ["+", "-"] * sessions})
     size = (len(groups), 3)
     usual = replace(
-        fit.joints[3],
+        result.joints[3],
         groups=groups,
         values=rng.normal([970e-9, 0.3, 430e-9], [10e-9, 0.01, 10e-9], size),
         known=np.ones(size, dtype=bool),
         covariance=np.full((*size, 3), np.nan),
         interval=np.full((*size, 2), np.nan),
     )
-    chart = control_chart(replace(fit, joints={3: usual}))
+    chart = control_chart(replace(result, joints={3: usual}))
     outside = chart.groupby("session", sort=False)["surprising"].any().sum()
     assert binom.ppf(0.001, sessions, 0.01) <= outside <= binom.ppf(0.999, sessions, 0.01)
 

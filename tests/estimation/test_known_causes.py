@@ -1,7 +1,5 @@
 """The closed form with causes whose sizes are known, beside truth, least squares and its own scatter."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -15,16 +13,12 @@ from stickslip_fit.estimation.least_squares import fit_joint
 from stickslip_fit.estimation.with_causes import FixedCauseLaw
 from stickslip_fit.laws import published_law
 from stickslip_fit.logs import read_log
+from tests.conftest import CALIBRATION_3
 
 A, TAU, LATE = 0.04, 1500.0, 200.0
 CAUSES = (ThermalWarmUp(), EndStopLatency())
 TRUTH = {1: [97.0, -0.05, -1.0, -0.35], 2: [95.0, 90.0, -15.0, -19.85], 3: [976.0, 0.30, 438.0]}
 UNITS = {1: [1e-6, 1e-3, 1e-6, 1e-3], 2: [1e-6] * 4, 3: [1e-9, 1.0, 1e-9]}
-JOINT_3 = (
-    {"joint": 3, "q2_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0},
-)
 
 
 def hidden(table, path, a=A, tau=TAU, late=LATE):
@@ -80,7 +74,7 @@ def test_it_goes_through_its_calibration_traverses(campaign, tmp_path, truly):
 
 def test_least_squares_of_as_many_traverses_says_the_same(campaign, tmp_path, truly):
     """Parameters, and how their errors follow from the counts'."""
-    log = hidden(campaign(("2012-03-05",), JOINT_3, replicates=1), tmp_path / "log.csv")
+    log = hidden(campaign(("2012-03-05",), CALIBRATION_3, replicates=1), tmp_path / "log.csv")
     rows = log.usable
     law = FixedCauseLaw(published_law(3, rows, log.machine), CAUSES, np.array([A, TAU, LATE]))
     found, _, _ = fit_joint(law, rows, log.machine)
@@ -114,7 +108,7 @@ def test_error_bars_hold_what_is_not_sure_of_the_causes(campaign, tmp_path, fitt
     rng = np.random.default_rng(5)
     scores = []
     for seed in range(12):
-        table = campaign(days, JOINT_3, seed=seed)
+        table = campaign(days, CALIBRATION_3, seed=seed)
         # Calibrations made after half an hour, so that they have something to warm up from.
         clock = pd.DataFrame([table.iloc[0]] * len(days)).assign(
             session=days, time=[f"{day}T08:00:00" for day in days], status="excluded"
@@ -141,7 +135,7 @@ def test_replicates_apart_in_time_do_not_pass_for_noise(campaign, tmp_path, trul
 
 def test_a_cause_that_asks_for_what_is_not_known_leaves_it_unknown(campaign, tmp_path, fitted):
     """Recoil about another axis acts with the arm level too, so that a cannot be had without b."""
-    log = hidden(campaign(("2012-03-05",), JOINT_3[::2]), tmp_path / "log.csv", a=0.0, late=0.0)
+    log = hidden(campaign(("2012-03-05",), CALIBRATION_3[::2]), tmp_path / "log.csv", a=0.0, late=0.0)
     law = ExtendedLaw(fitted.joints[3].law.law, (RecoilAxis(),))
     fit = fitted.joints[3]
     values = np.column_stack([fit.values[:, :3], np.full(len(fit.values), np.radians(5.0))])

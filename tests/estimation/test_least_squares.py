@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -83,28 +81,6 @@ def test_repeatability_is_found(log):
     for fit in fit_least_squares(log).joints.values():
         for found in fit.repeatability.values():
             assert found.value == pytest.approx(0.0027, rel=4 / np.sqrt(2 * found.df))
-
-
-def test_intervals_cover(campaign, read_table):
-    """Twelve sessions, each an independent trial of every interval."""
-    sessions = tuple(f"2012-03-{day:02d}" for day in range(1, 13))
-    result = fit_least_squares(read_table(campaign(sessions=sessions, seed=5)))
-    truth = {("a", "+"): 976e-9, ("b", "+"): 0.30, ("c", "+"): 438e-9, ("d_q3_12", "-"): 25.91e-6}
-    truth |= {("a", "-"): 903e-9, ("gamma0_q3_0", "+"): 95e-6, ("gamma0_reach_0", "+"): 97e-6}
-    table = result.si.parameters.set_index(["name", "direction"])
-    covered = [
-        (table.loc[key, "low"] < value) & (value < table.loc[key, "high"]) for key, value in truth.items()
-    ]
-    share = float(np.mean(np.concatenate([part.to_numpy() for part in covered])))
-    assert share == pytest.approx(0.95, abs=3 * np.sqrt(0.95 * 0.05 / 84))
-
-
-def test_predictions_hold_for_a_new_replicate(campaign, log, read_table):
-    fresh = read_table(campaign(seed=99)).usable
-    found = fit_least_squares(log).si.predict(fresh)
-    steps = fresh["steps"] - 2.5
-    inside = float(np.mean((found["low"] < steps) & (steps < found["high"])))
-    assert inside == pytest.approx(0.95, abs=4 * np.sqrt(0.95 * 0.05 / len(fresh)))
 
 
 def test_interrupted_and_excluded_traverses_are_not_fitted(campaign, read_table):

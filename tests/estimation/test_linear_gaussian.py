@@ -1,7 +1,5 @@
 """Closed form, least squares and posterior mean on a case where all three are the same number."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,12 +9,8 @@ from stickslip_fit.bayes.priors import build_group_data
 from stickslip_fit.estimation import fit_closed_form
 from stickslip_fit.estimation.least_squares import fit_joint
 from stickslip_fit.laws import Parameter, Prismatic, traverse_length
+from tests.conftest import CALIBRATION_3
 
-CALIBRATION = (
-    {"joint": 3, "q2_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0},
-)
 SESSIONS = ("2012-03-05", "2012-03-06", "2012-03-07")
 
 
@@ -64,7 +58,7 @@ def generalised_least_squares(rows, repeatability, width):
 
 @pytest.fixture
 def log(campaign, request, read_table):
-    table = campaign(SESSIONS, CALIBRATION, ("+",), replicates=request.param)
+    table = campaign(SESSIONS, CALIBRATION_3, ("+",), replicates=request.param)
     return read_table(table)
 
 

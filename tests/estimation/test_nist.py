@@ -1,7 +1,5 @@
 """NIST's 27 nonlinear problems through the core that fits the laws."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

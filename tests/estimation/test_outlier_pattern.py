@@ -1,7 +1,5 @@
 """Outlying counts: isolated ones, and those that have something in common."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

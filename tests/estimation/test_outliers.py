@@ -1,7 +1,5 @@
 """Outlying counts: which are flagged, and how often heavy tails alone are."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

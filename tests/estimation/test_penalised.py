@@ -1,7 +1,5 @@
 """Causes whose coefficients have a prior, in a fit of a log: ridge regression by hand, and there and back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

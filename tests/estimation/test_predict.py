@@ -1,7 +1,5 @@
 """Counts foretold for a plan, against counts that the simulator then makes of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sessions over different stretches of a travel: the profile is taken out before they are compared."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

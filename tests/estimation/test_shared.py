@@ -1,7 +1,5 @@
 """The block-arrow system on its own: what it costs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """Parameters that sessions share, bounds, and a repeatability that is known beforehand."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -14,7 +12,6 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_least_squares, load_result
 from stickslip_fit.estimation.least_squares import profile_intervals
 from stickslip_fit.estimation.noise import StudentT
-from stickslip_fit.logs import read_log
 
 DAYS = ("2012-03-05", "2012-03-06", "2012-03-07")
 NOISE = 0.0027
@@ -27,13 +24,11 @@ PRISMATIC = (
 
 
 @pytest.fixture
-def read(campaign, tmp_path):
+def read(campaign, read_table):
     """A maker of logs from the campaign generator's arguments."""
 
     def make(edit=lambda table: table, **arguments):
-        path = tmp_path / "log.csv"
-        edit(campaign(**({"sessions": DAYS, "settings": PRISMATIC} | arguments))).to_csv(path, index=False)
-        return read_log(path)
+        return read_table(edit(campaign(**({"sessions": DAYS, "settings": PRISMATIC} | arguments))))
 
     return make
 

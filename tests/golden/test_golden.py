@@ -4,8 +4,6 @@
 means to change a number says so, and keeps the new file: `stickslip-fit` with the arguments below.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -4,8 +4,6 @@ Positions and angles in rad and m. `row` is a row of the log as the reader gives
 the parameters of its joint, session and direction, `p` the effect's by name in people's units.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from math import cos, exp, log, pi, sin, sqrt
 from typing import Any

@@ -1,7 +1,5 @@
 """A campaign on which nothing acts yet: plan, true laws, expected counts, clock, history and noise."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol

@@ -1,7 +1,5 @@
 """Every effect that can be hidden, in the forms that nature may give it: the table's first, then others."""
 
-from __future__ import annotations
-
 from tests.hidden.effect import Maker
 from tests.hidden.effects import (
     angles,

@@ -3,8 +3,6 @@
 ``python -m tests.hidden.changed_study --logs 30`` prints the rates; benchmarks/README.md quotes them.
 """
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a lab reads while it measures: room, supply and its own columns; and columns that act on nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plans of campaigns: one small session, three as in the thesis, many in a random order, days alike."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

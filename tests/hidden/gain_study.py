@@ -5,21 +5,18 @@ diagnosed as a user would, and so is its replicate: the same campaign with fresh
 hold the gain that the replicate's diagnosis measures, by a search of its own; either is taken for the log.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from stickslip_fit.diagnosis import diagnose
-from stickslip_fit.logs import Log, read_log
 from tests.hidden import outside, study
 from tests.hidden.generate import Hidden
+from tests.hidden.reading import read_hidden
 
 KINDS = ("single", "pair", "outside")
 
@@ -90,7 +87,7 @@ def score_gain(case: GainCase) -> list[GainScore]:
         return []
     # No next experiment, which takes time and changes no gain.
     one, other = (
-        diagnose(read(log), seed=case.seed + k, gain=False).measure_gain()
+        diagnose(read_hidden(log), seed=case.seed + k, gain=False).measure_gain()
         for k, log in enumerate((hidden, fresh))
     )
     effects = " and ".join(f"{one['name']} ({one['form']})" for one in hidden.truth["effects"])
@@ -112,13 +109,6 @@ def score_gain(case: GainCase) -> list[GainScore]:
         for found, again in ((one, other), (other, one))
         if found.gain is not None and any(finding.version is not None for finding in found.findings)
     ]
-
-
-def read(hidden: Hidden) -> Log:
-    """A hidden log as a user's file."""
-    with TemporaryDirectory() as folder:
-        hidden.write(Path(folder) / "log.csv")
-        return read_log(Path(folder) / "log.csv")
 
 
 def main() -> None:

@@ -1,7 +1,5 @@
 """Logs in which nothing is hidden but gross errors: counts doubled or halved."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

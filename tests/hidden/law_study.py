@@ -3,12 +3,8 @@
 ``python -m tests.hidden.law_study WHAT --logs 20`` prints the rates; benchmarks/README.md quotes them.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Iterator
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -17,19 +13,13 @@ from stickslip_fit.estimation import profile_ratio
 from stickslip_fit.law_comparison import compare_laws
 from stickslip_fit.law_comparison.comparison import CERTAIN, MODEL_SPREAD
 from tests.hidden.generate import Hidden, hide
+from tests.hidden.reading import read_hidden
 from tests.hidden.slip import Bristles
 from tests.hidden.stage import GRAVITY, Stage, drive_stage
 from tests.hidden.stage_study import SIZE, stage_cases
 
 DESIGNS = ("session", "thesis", "many")
 Found = dict[str, list[bool | float]]
-
-
-def read(hidden: Hidden) -> ssf.Log:
-    """The log as a user has it."""
-    with TemporaryDirectory() as folder:
-        hidden.write(Path(folder) / "log.csv")
-        return ssf.read_log(Path(folder) / "log.csv")
 
 
 BENDS = (0.002, 0.005, 0.008)  # of LuGre's bristles, as shares of the throw
@@ -45,7 +35,7 @@ def true_share(hidden: Hidden, direction: str) -> float:
 def judge_drive(regime: str, bristles: Bristles | None, seed: int) -> Iterator[tuple[bool, bool, bool]]:
     """Of either direction of joint 3: regime certain and right, certain and wrong, and r in its interval."""
     hidden = drive_stage(DESIGNS[seed % 3], Stage(regime, bristles), seed=seed)
-    log = read(hidden)
+    log = read_hidden(hidden)
     for way, profile in profile_ratio(3, log.usable[log.usable["joint"] == 3], log.machine).items():
         _, low, high = profile.share_interval(spread=MODEL_SPREAD)
         right = profile.friction_limited if regime == "friction" else 1 - profile.friction_limited
@@ -68,7 +58,7 @@ def shares(seed: int) -> Found:
 def published(seed: int) -> Found:
     """Logs of the published law."""
     found: Found = {}
-    for one in compare_laws(read(hide(DESIGNS[seed % 3], seed=seed))).joints:
+    for one in compare_laws(read_hidden(hide(DESIGNS[seed % 3], seed=seed))).joints:
         for law in ("published", "physical"):
             found.setdefault(f"joint {one.joint}: {law} preferred", []).append(one.errors.better == law)
     return found
@@ -78,7 +68,7 @@ def errors(seed: int) -> Found:
     """Held-out errors over the noise of friction-limited logs."""
     hidden = drive_stage(DESIGNS[seed % 3], Stage("friction", Bristles() if seed % 2 else None), seed=seed)
     found: Found = {}
-    for one in compare_laws(read(hidden)).joints:
+    for one in compare_laws(read_hidden(hidden)).joints:
         noise = np.sqrt(np.mean(hidden.campaign.repeatability[hidden.campaign.plan.joint == one.joint] ** 2))
         found[f"joint {one.joint}: physical over noise"] = [one.errors.physical.rms / noise]
         found[f"joint {one.joint}: published over noise"] = [one.errors.published.rms / noise]
@@ -90,7 +80,7 @@ def baseline(seed: int) -> Found:
     (case,) = stage_cases(1, seed)
     design = "many" if case.change == "friction:humidity" else "session"
     stage = Stage(case.regime, Bristles() if case.lugre else None)
-    found = ssf.diagnose(read(drive_stage(design, stage, case.change, SIZE, seed=seed)), gain=False)
+    found = ssf.diagnose(read_hidden(drive_stage(design, stage, case.change, SIZE, seed=seed)), gain=False)
     print(case, [one.cause for one in found.findings])
     return {f"{name} is named": [True] for name in sorted({one.cause for one in found.findings})}
 

@@ -5,8 +5,6 @@ its long tail above or below; places, configurations and sessions have noise fiv
 each joint's travel, in a tenth of the configurations, or in one session; rounded counts are multiples of 50.
 """
 
-from __future__ import annotations
-
 from math import exp, sqrt
 
 import numpy as np

@@ -7,8 +7,6 @@
 0.03
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

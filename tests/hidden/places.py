@@ -1,7 +1,5 @@
 """Logs in which the step size differs from place to place along one joint's own travel."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

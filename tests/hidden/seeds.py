@@ -1,7 +1,5 @@
 """Streams of chance that do not disturb each other: one for each purpose."""
 
-from __future__ import annotations
-
 from zlib import crc32
 
 import numpy as np

@@ -10,8 +10,6 @@ The bristles' damping fades with speed (H. Olsson, thesis, Lund, 1996); else the
 flyback.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

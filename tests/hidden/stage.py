@@ -5,8 +5,6 @@ gravity with the distance itself. What changes in a stage - preload, humidity, v
 wear - acts on friction, inertia, throw or time, never on a law's coefficients.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -221,12 +219,7 @@ def drive_days(stage: Stage, change: str, size: float, seed: int = 0) -> Hidden:
 
 
 def drive_stage(
-    design: str,
-    stage: Stage,
-    change: str = "",
-    size: float = 0.1,
-    noise: str = "gaussian",
-    seed: int = 0,
+    design: str, stage: Stage, change: str = "", size: float = 0.1, noise: str = "gaussian", seed: int = 0
 ) -> Hidden:
     """A log of a stage in which one thing changes by a share `size`, or nothing.
 

@@ -8,8 +8,6 @@ session and direction is calibrated anew, as in a diagnosis.
 one; benchmarks/README.md quotes it.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 ``python -m tests.hidden.stage_study --logs 40`` prints the rates; benchmarks/README.md quotes them.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Collection, Iterator
 from concurrent.futures import ProcessPoolExecutor

@@ -9,8 +9,6 @@ repeatability differs between rows, recalibration is weighted by it and each row
 which is the same where it does not differ.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 

@@ -4,8 +4,6 @@
 from. Of the kind `mixed` is one cause of the library beside an effect from outside of it.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

@@ -1,7 +1,5 @@
 """A campaign as the lab writes it down."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

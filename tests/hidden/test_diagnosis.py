@@ -1,15 +1,13 @@
 """An effect is hidden in a log, and the diagnosis has to find it; the generator shares no code with it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import binom
 
 import stickslip_fit as ssf
-from tests.hidden.gain_study import read
 from tests.hidden.generate import hide, testable
+from tests.hidden.reading import read_hidden
 from tests.hidden.study import DESIGNS, NOISES, Case, cases, make, score
 
 STRONG = 12.0
@@ -49,13 +47,12 @@ def test_a_hidden_cause_is_named(cause, design):
 
 
 @pytest.mark.parametrize("logs", [3, pytest.param(60, marks=pytest.mark.nightly)])
-def test_the_moment_of_a_jump_is_in_its_interval(logs, tmp_path):
+def test_the_moment_of_a_jump_is_in_its_interval(logs):
     """Of 95 %; at strengths at which a jump is always found, but its moment is open."""
     held, widths = 0, []
     for seed in range(logs):
         hidden = hide("session", ("session-jump",), 8.0, seed=seed, forms={"session-jump": "table"})
-        hidden.write(tmp_path / "log.csv")
-        found = ssf.diagnose(ssf.read_log(tmp_path / "log.csv"), gain=False).findings[0]
+        found = ssf.diagnose(read_hidden(hidden), gain=False).findings[0]
         (truth,) = (one for one in hidden.truth["effects"][0]["parameters"] if one["name"] == "moment")
         (moment,) = (one.size for one in found.parameters if one.name == "moment")
         held += moment.low <= 60 * truth["value"] <= moment.high
@@ -139,7 +136,7 @@ def test_a_jump_in_one_session_is_no_uneven_noise_beside_another_cause(cause, se
 def test_a_cause_is_found_that_structure_beside_it_would_take_up():
     """Memory of both is likelier than the cause alone, but not than the cause and memory of the rest."""
     hidden = hide("session", ("recoil-axis", "unknown:memory"), 20.0, seed=1)
-    found = ssf.diagnose(read(hidden), gain=False).findings
+    found = ssf.diagnose(read_hidden(hidden), gain=False).findings
     assert [one.cause for one in found] == ["recoil-axis", "unknown"]
     for one, true in zip(found, hidden.truth["effects"], strict=True):
         assert one.effect.low < true["effect_rms_pct"] / 100 < one.effect.high

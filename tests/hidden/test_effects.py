@@ -1,7 +1,5 @@
 """What each effect does to a count, against the equations done by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

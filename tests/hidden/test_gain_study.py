@@ -1,7 +1,5 @@
 """The interval of the gain, against replicates of campaigns whose truth is known."""
 
-from __future__ import annotations
-
 import pytest
 from scipy.stats import binom
 

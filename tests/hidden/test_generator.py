@@ -1,7 +1,5 @@
 """The logs themselves: format, designs, clock, noise, decoys, seeds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

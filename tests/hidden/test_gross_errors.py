@@ -1,7 +1,5 @@
 """Gross errors are gross errors: no cause is blamed for them, and no large effect is taken for them."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np
@@ -11,37 +9,28 @@ from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.gross_errors import find_gross_errors, set_aside
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.selection import explain_outliers, select_causes
-from stickslip_fit.logs import read_log
 from tests.hidden.generate import hide
 from tests.hidden.gross import make_gross, spoil
+from tests.hidden.reading import read_hidden
 
 MISFIRE = "end-stop-misfire"
 LEVEL = 2.5e-4
 
 
-@pytest.fixture
-def load(tmp_path):
-    def log_of(hidden):
-        hidden.write(tmp_path / "log.csv")
-        return read_log(tmp_path / "log.csv")
-
-    return log_of
-
-
-def tally(size, rate, seeds, load):
+def tally(size, rate, seeds):
     """How often each set of findings is the answer."""
     answers = Counter()
     for seed in seeds:
         hidden, _ = make_gross(size, rate, seed)
-        found = diagnose(load(hidden), seed=seed, gain=False)
+        found = diagnose(read_hidden(hidden), seed=seed, gain=False)
         answers[tuple(each.cause for each in found.findings)] += 1
     return answers
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
-def test_gross_errors_of_a_small_log_are_named_and_nothing_else(seed, load):
+def test_gross_errors_of_a_small_log_are_named_and_nothing_else(seed):
     hidden, rows = make_gross("small", 0.01, seed)
-    (finding,) = diagnose(load(hidden), seed=seed, gain=False).findings
+    (finding,) = diagnose(read_hidden(hidden), seed=seed, gain=False).findings
     assert finding.cause == MISFIRE
     assert set(finding.traverses.index) == set(rows)
 
@@ -55,10 +44,10 @@ def test_gross_errors_of_a_small_log_are_named_and_nothing_else(seed, load):
         pytest.param("campaign", 0.0025, 5, marks=pytest.mark.nightly),
     ],
 )
-def test_gross_errors_are_found_before_anything_is_searched(size, rate, seed, load):
+def test_gross_errors_are_found_before_anything_is_searched(size, rate, seed):
     """In the fifth, least squares without them sets aside a parameter at its bound."""
     hidden, rows = make_gross(size, rate, seed)
-    problem, _ = problem_from_log(load(hidden), ())
+    problem, _ = problem_from_log(read_hidden(hidden), ())
     assert set(find_gross_errors(problem, LEVEL).rows) == set(rows)
 
 
@@ -80,18 +69,18 @@ def places(hidden):
 @pytest.mark.parametrize(
     "kind", ["session", *(pytest.param(kind, marks=pytest.mark.nightly) for kind in ("thesis", "many"))]
 )
-def test_one_doubled_count_is_found_wherever_it_is(kind, load):
+def test_one_doubled_count_is_found_wherever_it_is(kind):
     hidden = hide(kind, noise="t5", seed=11)
     for place, row in places(hidden).items():
-        problem, _ = problem_from_log(load(spoil(hidden, np.array([row]))), ())
+        problem, _ = problem_from_log(read_hidden(spoil(hidden, np.array([row]))), ())
         assert list(find_gross_errors(problem, LEVEL).rows) == [row], place
 
 
-def test_one_doubled_count_at_the_extreme_load_is_no_other_mass(load):
+def test_one_doubled_count_at_the_extreme_load_is_no_other_mass():
     """It was taken for a load coefficient of twice its size, with a gain that was a loss."""
     hidden = hide("session", noise="gaussian", seed=11)
     row = places(hidden)["the extreme load"]
-    found = diagnose(load(spoil(hidden, np.array([row]))), gain=False)
+    found = diagnose(read_hidden(spoil(hidden, np.array([row]))), gain=False)
     assert [each.cause for each in found.findings] == [MISFIRE]
     assert list(found.findings[0].traverses.index) == [row]
 
@@ -107,25 +96,25 @@ def test_one_doubled_count_at_the_extreme_load_is_no_other_mass(load):
         ("load-hysteresis", "session"),
     ],
 )
-def test_a_large_effect_is_no_gross_error(cause, design, load):
+def test_a_large_effect_is_no_gross_error(cause, design):
     hidden = hide(design, (cause,), 25.0, seed=2)
-    problem, _ = problem_from_log(load(hidden), ())
+    problem, _ = problem_from_log(read_hidden(hidden), ())
     assert not len(find_gross_errors(problem, LEVEL).rows)
 
 
-def test_rows_that_a_named_cause_explains_come_back(load):
+def test_rows_that_a_named_cause_explains_come_back():
     """The first traverses of a strong warm-up are the farthest off; a gross error among them stays aside."""
     hidden = hide("session", ("thermal-warm-up",), 25.0, seed=2)
-    problem, _ = problem_from_log(load(spoil(hidden, np.array([2]))))
+    problem, _ = problem_from_log(read_hidden(spoil(hidden, np.array([2]))))
     aside = np.arange(3)
     found = select_causes(set_aside(problem, aside), 0.01, 399, np.random.default_rng(0))
     assert "thermal-warm-up" in (found.selected[0].cause, *found.selected[0].cause_set.rivals)
     assert explain_outliers(found, problem, aside).tolist() == [0, 1]
 
 
-def test_a_very_strong_effect_is_no_gross_error(load):
+def test_a_very_strong_effect_is_no_gross_error():
     hidden = hide("session", ("thermal-warm-up",), 60.0, seed=2)
-    found = diagnose(load(hidden), gain=False)
+    found = diagnose(read_hidden(hidden), gain=False)
     assert "thermal-warm-up" in found.findings[0].cause_set
     assert all(each.cause != MISFIRE for each in found.findings)
 
@@ -133,8 +122,8 @@ def test_a_very_strong_effect_is_no_gross_error(load):
 @pytest.mark.nightly
 @pytest.mark.parametrize("size", ["small", "campaign"])
 @pytest.mark.parametrize("rate", [0.0025, 0.01])
-def test_gross_errors_are_blamed_on_no_cause(size, rate, load):
-    answers = tally(size, rate, range(1000, 1400), load)
+def test_gross_errors_are_blamed_on_no_cause(size, rate):
+    answers = tally(size, rate, range(1000, 1400))
     right = answers[()] + answers[(MISFIRE,)]
     physical = sum(n for found, n in answers.items() if set(found) - {MISFIRE, "unknown"})
     assert right >= 0.98 * 400, answers

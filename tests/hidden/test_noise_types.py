@@ -1,14 +1,12 @@
 """Noise that is not as assumed is called what it is, and no physical cause is blamed for it."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.noise_types import GROSS, NO_CAUSE, TYPES, answer, coverage, findings, make
 from stickslip_fit.diagnosis.gross_errors import find_gross_errors
 from stickslip_fit.diagnosis.problem import problem_from_log
-from stickslip_fit.logs import read_log
 from tests.hidden.noise import KINDS
+from tests.hidden.reading import read_hidden
 
 LEVEL = 2.5e-4
 EXPECTED = {  # findings and noise properties
@@ -58,10 +56,9 @@ def test_noise_of_one_session_is_called_so_and_the_text_names_the_session():
         ("sessions", 5),
     ],
 )
-def test_large_noise_in_small_sessions_is_no_gross_error(kind, seed, tmp_path):
+def test_large_noise_in_small_sessions_is_no_gross_error(kind, seed):
     """A robust fit runs through most rows of a session with few, and far from the others."""
-    make(kind, seed).write(tmp_path / "log.csv")
-    problem, _ = problem_from_log(read_log(tmp_path / "log.csv"), ())
+    problem, _ = problem_from_log(read_hidden(make(kind, seed)), ())
     assert not len(find_gross_errors(problem, LEVEL).rows)
 
 

@@ -1,7 +1,5 @@
 """The generator of steps from friction: exact where that is known, and its logs what the reader takes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

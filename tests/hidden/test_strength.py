@@ -1,7 +1,5 @@
 """Strength is what a baseline fitted anew cannot take up, and what was asked for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a log's actuators are really like: the laws' parameters, drawn for each session and direction."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

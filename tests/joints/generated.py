@@ -1,7 +1,5 @@
 """Machines of any joints and their logs, generated here without the package."""
 
-from __future__ import annotations
-
 import csv
 from datetime import datetime, timedelta
 from pathlib import Path

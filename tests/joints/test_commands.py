@@ -1,7 +1,5 @@
 """Every command that reads a log, on machines that are no published arm."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

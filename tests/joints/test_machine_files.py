@@ -1,7 +1,5 @@
 """Machine files of joints alone: what they say, what is refused, and what then needs an arm."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -21,18 +19,8 @@ from stickslip_fit.machine import (
 from tests.joints.generated import MACHINES, machine_text, write_log
 
 
-@pytest.fixture
-def load(tmp_path):
-    def write_and_load(text):
-        path = tmp_path / "mine.toml"
-        path.write_text(text, encoding="utf-8")
-        return load_machine(path)
-
-    return write_and_load
-
-
-def test_joints_have_their_kinds_ranges_and_names(load):
-    machine = load(
+def test_joints_have_their_kinds_ranges_and_names(machine_of):
+    machine = machine_of(
         'name = "Stage 7"\n[[joint]]\nkind = "prismatic"\nrange_um = [-500, 500]\n'
         '[[joint]]\nkind = "rotary"\nname = "Phi"\nrange_deg = [0, 720]\n'
     )
@@ -61,10 +49,10 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("case", FAULTS)
-def test_a_fault_is_named_with_its_key(load, case):
+def test_a_fault_is_named_with_its_key(machine_of, case):
     text, column, advice = FAULTS[case]
     with pytest.raises(InputError) as error:
-        load(text)
+        machine_of(text)
     found = {problem.column: problem.message for problem in error.value.problems}
     assert advice in found[column]
 
@@ -81,8 +69,8 @@ NEEDS_AN_ARM = {
 
 
 @pytest.mark.parametrize("what", NEEDS_AN_ARM)
-def test_what_needs_an_arm_says_so_in_one_sentence(load, what):
-    machine = load(machine_text(MACHINES["two turns"]))
+def test_what_needs_an_arm_says_so_in_one_sentence(machine_of, what):
+    machine = machine_of(machine_text(MACHINES["two turns"]))
     with pytest.raises(InputError, match=r"whose lengths are known, and the machine mine is none$") as error:
         NEEDS_AN_ARM[what](machine)
     assert len(error.value.problems) == 1
@@ -96,8 +84,8 @@ def test_what_needs_an_arm_says_so_in_one_sentence(load, what):
         *(pytest.param(name, marks=pytest.mark.nightly) for name in ("six joints", "two turns")),
     ],
 )
-def test_a_saved_result_has_its_machine(tmp_path, load, name):
-    machine = load(machine_text(MACHINES[name]))
+def test_a_saved_result_has_its_machine(tmp_path, machine_of, name):
+    machine = machine_of(machine_text(MACHINES[name]))
     write_log(tmp_path / "log.csv", MACHINES[name])
     fit = ssf.fit(ssf.read_log(tmp_path / "log.csv", machine=machine))
     fit.save(tmp_path / "fit.json")

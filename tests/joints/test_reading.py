@@ -1,7 +1,5 @@
 """Logs of machines other than the published arm: columns, faults, missing times and orientation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,28 +7,22 @@ import pytest
 import stickslip_fit as ssf
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import write_log as write
-from stickslip_fit.machine import load_machine
 from tests.joints.generated import MACHINES, machine_text, write_log
 
 HISTORY = ["session_seconds", "before_direction", "before_load", "steps_before"]
 
 
 @pytest.fixture
-def machine_of(tmp_path):
-    def load(name):
-        path = tmp_path / f"{name}.toml"
-        path.write_text(machine_text(MACHINES[name]), encoding="utf-8")
-        return load_machine(path)
-
-    return load
+def named(machine_of):
+    return lambda name: machine_of(machine_text(MACHINES[name]))
 
 
 @pytest.fixture
-def read(tmp_path, machine_of):
+def read(tmp_path, named):
     def from_text(text, name):
         path = tmp_path / "day.csv"
         path.write_text(text, encoding="utf-8")
-        return ssf.read_log(path, machine=machine_of(name))
+        return ssf.read_log(path, machine=named(name))
 
     return from_text
 
@@ -43,8 +35,8 @@ def issues(read, text, name):
 
 @pytest.mark.parametrize("timed", [True, False])
 @pytest.mark.parametrize("name", MACHINES)
-def test_what_is_read_is_written_and_read_again(tmp_path, machine_of, name, timed):
-    machine = machine_of(name)
+def test_what_is_read_is_written_and_read_again(tmp_path, named, name, timed):
+    machine = named(name)
     write_log(tmp_path / "log.csv", MACHINES[name], timed=timed)
     log = ssf.read_log(tmp_path / "log.csv", machine=machine)
     joints = [f"q{joint}" for joint in machine.joints]
@@ -58,19 +50,19 @@ def test_what_is_read_is_written_and_read_again(tmp_path, machine_of, name, time
     assert (tmp_path / "rows.csv").read_bytes() == (tmp_path / "again.csv").read_bytes()
 
 
-def test_a_prismatic_first_joint_and_two_turns_are_si(tmp_path, machine_of):
+def test_a_prismatic_first_joint_and_two_turns_are_si(tmp_path, named):
     write_log(tmp_path / "log.csv", MACHINES["another order"])
-    log = ssf.read_log(tmp_path / "log.csv", machine=machine_of("another order"))
+    log = ssf.read_log(tmp_path / "log.csv", machine=named("another order"))
     slide = log.rows[log.rows["joint"] == 1]
     assert slide[["start", "stop"]].to_numpy().max() < 0.025
     assert slide["q3"].to_numpy() == pytest.approx(np.pi)
     write_log(tmp_path / "turns.csv", MACHINES["two turns"])
-    turns = ssf.read_log(tmp_path / "turns.csv", machine=machine_of("two turns"))
+    turns = ssf.read_log(tmp_path / "turns.csv", machine=named("two turns"))
     assert turns.rows["start"].max() > 2 * np.pi
 
 
-def test_without_times_nothing_of_the_order_is_made_up(tmp_path, machine_of):
-    machine = machine_of("two turns")
+def test_without_times_nothing_of_the_order_is_made_up(tmp_path, named):
+    machine = named("two turns")
     write_log(tmp_path / "log.csv", MACHINES["two turns"], timed=False)
     log = ssf.read_log(tmp_path / "log.csv", machine=machine)
     assert log.rows[["time", *HISTORY]].isna().all(axis=None)
@@ -84,9 +76,9 @@ def test_without_times_nothing_of_the_order_is_made_up(tmp_path, machine_of):
     assert "Without times" in str(log)
 
 
-def test_with_times_the_history_is_there_but_for_the_load(tmp_path, machine_of):
+def test_with_times_the_history_is_there_but_for_the_load(tmp_path, named):
     write_log(tmp_path / "log.csv", MACHINES["six joints"])
-    rows = ssf.read_log(tmp_path / "log.csv", machine=machine_of("six joints")).rows
+    rows = ssf.read_log(tmp_path / "log.csv", machine=named("six joints")).rows
     assert rows["before_load"].isna().all()
     sixth = rows[(rows["joint"] == 6) & (rows["session"] == rows["session"].iloc[0])]
     assert list(sixth["before_direction"]) == ["", *sixth["direction"].iloc[:-1]]
@@ -123,11 +115,11 @@ def test_a_fault_is_named_with_its_column(read, case):
     assert advice in found[column]
 
 
-def test_times_are_in_all_files_or_in_none(tmp_path, machine_of):
+def test_times_are_in_all_files_or_in_none(tmp_path, named):
     write_log(tmp_path / "a.csv", MACHINES["one slide"])
     write_log(tmp_path / "b.csv", MACHINES["one slide"], timed=False, seed=1)
     with pytest.raises(InputError, match=r"b\.csv.*time.*other files have it"):
-        ssf.read_log([tmp_path / "a.csv", tmp_path / "b.csv"], machine=machine_of("one slide"))
+        ssf.read_log([tmp_path / "a.csv", tmp_path / "b.csv"], machine=named("one slide"))
 
 
 def test_a_moving_joints_own_column_may_be_missing(read):

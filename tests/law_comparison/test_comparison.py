@@ -1,11 +1,9 @@
 """Published against physical laws, on logs made by friction, by the published laws."""
 
-from __future__ import annotations
-
 import json
+from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import stickslip_fit as ssf
@@ -13,16 +11,13 @@ from stickslip_fit.law_comparison import compare_laws
 from stickslip_fit.laws import FRICTION_LIMITED
 from tests.hidden.generate import hide
 from tests.hidden.law_study import BENDS, judge_drive, true_share
+from tests.hidden.reading import read_hidden
 from tests.hidden.slip import Bristles
 from tests.hidden.stage import GRAVITY, Stage, drive_stage
 
 
-def read(hidden, folder, keep=None):
-    hidden.write(folder / "log.csv")
-    if keep is not None:
-        table = pd.read_csv(folder / "log.csv")
-        table[keep(table)].to_csv(folder / "log.csv", index=False)
-    return ssf.read_log(folder / "log.csv")
+def read(hidden, keep):
+    return read_hidden(replace(hidden, table=hidden.table[keep(hidden.table)]))
 
 
 def guide(table):
@@ -41,9 +36,9 @@ FRICTION_CASES = [("session", 3, 1.25), ("thesis", 4, 1.12), ("many", 6, 1.12)]
         *(pytest.param(*case, Bristles(), marks=pytest.mark.nightly) for case in FRICTION_CASES[1:]),
     ],
 )
-def test_friction_limited_logs_are_predicted_as_well_as_they_repeat(design, seed, most, bristles, tmp_path):
+def test_friction_limited_logs_are_predicted_as_well_as_they_repeat(design, seed, most, bristles):
     hidden = drive_stage(design, Stage("friction", bristles), seed=seed)
-    (joint,) = compare_laws(read(hidden, tmp_path, guide)).joints
+    (joint,) = compare_laws(read(hidden, guide)).joints
     assert joint.errors.better == "physical"
     rows = hidden.campaign.plan.joint == 3
     noise = np.sqrt(np.mean(hidden.campaign.repeatability[rows] ** 2))
@@ -58,8 +53,8 @@ def test_friction_limited_logs_are_predicted_as_well_as_they_repeat(design, seed
         assert low < true_share(hidden, regime.direction) < high
 
 
-def test_of_many_configurations_several_are_left_out_at_a_time(monkeypatch, tmp_path):
-    log = read(drive_stage("session", Stage("friction", None), seed=3), tmp_path, guide)
+def test_of_many_configurations_several_are_left_out_at_a_time(monkeypatch):
+    log = read(drive_stage("session", Stage("friction", None), seed=3), guide)
     (one_by_one,) = compare_laws(log).joints
     monkeypatch.setattr("stickslip_fit.law_comparison.held_out.MAX_PARTS", 6)
     (in_parts,) = compare_laws(log).joints
@@ -68,13 +63,13 @@ def test_of_many_configurations_several_are_left_out_at_a_time(monkeypatch, tmp_
     assert in_parts.errors.physical.rms == pytest.approx(one_by_one.errors.physical.rms, rel=0.3)
 
 
-def test_a_direction_of_one_configuration_is_left_out_with_it(tmp_path):
+def test_a_direction_of_one_configuration_is_left_out_with_it():
     def one_way(table):
         back, place = table["direction"] == "-", table[["q2_deg", "theta_deg", "psi_deg"]]
         same = (place == place[guide(table) & back].iloc[0]).all(axis=1)
         return guide(table) & (~back | same)
 
-    log = read(drive_stage("thesis", Stage("friction", None), seed=4), tmp_path, one_way)
+    log = read(drive_stage("thesis", Stage("friction", None), seed=4), one_way)
     (joint,) = compare_laws(log).joints
     assert 0 < joint.errors.traverses <= (log.usable["direction"] == "+").sum()
 
@@ -98,14 +93,14 @@ def test_the_regime_is_right_and_r_in_its_interval_whatever_the_friction(regime,
     assert inside > 0.9 - margin(0.9)
 
 
-def test_published_logs_go_to_the_published_law(tmp_path):
-    comparison = compare_laws(read(hide("thesis", seed=2), tmp_path, guide))
+def test_published_logs_go_to_the_published_law():
+    comparison = compare_laws(read(hide("thesis", seed=2), guide))
     (joint,) = comparison.joints
     assert joint.errors.better == "published"
     assert joint.errors.published.rms < 1.25 * joint.replicate_scatter
 
 
-def test_a_log_of_three_configurations_cannot_tell_and_is_told_what_would(tmp_path):
+def test_a_log_of_three_configurations_cannot_tell_and_is_told_what_would():
     hidden = drive_stage("thesis", Stage("friction"), seed=1)
 
     def calibration(table):
@@ -113,7 +108,7 @@ def test_a_log_of_three_configurations_cannot_tell_and_is_told_what_would(tmp_pa
         level = (table["q2_deg"] == -90) & (table["theta_deg"] == 0)
         return guide(table) & (upright | level) & (table["psi_deg"] == 0)
 
-    comparison = compare_laws(read(hidden, tmp_path, calibration))
+    comparison = compare_laws(read(hidden, calibration))
     (joint,) = comparison.joints
     assert joint.errors.better == ""
     assert "cannot tell" in str(comparison)
@@ -124,7 +119,7 @@ def test_a_log_of_three_configurations_cannot_tell_and_is_told_what_would(tmp_pa
     assert joint.experiments[0].traverses is not None
 
 
-def test_a_law_with_as_many_parameters_as_counts_is_neither_likely_nor_unlikely(tmp_path):
+def test_a_law_with_as_many_parameters_as_counts_is_neither_likely_nor_unlikely():
     """Joint 1 calibrated once: friction-limited steps have four parameters and pass through all counts."""
     hidden = drive_stage("session", Stage("friction"), seed=4)
 
@@ -134,7 +129,7 @@ def test_a_law_with_as_many_parameters_as_counts_is_neither_likely_nor_unlikely(
         once = base.drop_duplicates(["q3_mm", "theta_deg", "direction"]).index
         return table.index.isin(once)
 
-    log = read(hidden, tmp_path, calibration)
+    log = read(hidden, calibration)
     assert len(log.usable) == 8
     (joint,) = compare_laws(log).joints
     assert joint.errors.better == ""
@@ -144,10 +139,10 @@ def test_a_law_with_as_many_parameters_as_counts_is_neither_likely_nor_unlikely(
     assert ssf.physical_law(1, log.usable, log.machine).ratios == (FRICTION_LIMITED, FRICTION_LIMITED)
 
 
-def test_what_experiments_expect_is_what_happens(tmp_path):
+def test_what_experiments_expect_is_what_happens():
     """Friction-limited steps shrink as mass grows."""
     hidden = drive_stage("session", Stage("friction"), seed=1)
-    (joint,) = compare_laws(read(hidden, tmp_path, guide)).joints
+    (joint,) = compare_laws(read(hidden, guide)).joints
     stage, (place,) = Stage("friction"), [p for p in hidden.campaign.places if p.joint == 3]
     unloaded = 0 * place.load
     pull = GRAVITY * unloaded
@@ -159,7 +154,7 @@ def test_what_experiments_expect_is_what_happens(tmp_path):
 
 
 def test_saved_and_shown(tmp_path):
-    comparison = ssf.compare_laws(read(hide("session", seed=2), tmp_path, guide))
+    comparison = ssf.compare_laws(read(hide("session", seed=2), guide))
     comparison.save(tmp_path / "laws.json")
     saved = json.loads((tmp_path / "laws.json").read_text("utf-8"))
     assert saved["joints"][0]["better"] == comparison.table["better"][0]
@@ -169,7 +164,7 @@ def test_saved_and_shown(tmp_path):
 
 def test_every_estimator_takes_the_physical_law(tmp_path):
     hidden = drive_stage("session", Stage("friction"), seed=2)
-    log = read(hidden, tmp_path, guide)
+    log = read(hidden, guide)
     laws = {3: ssf.physical_law}
     truth = np.array([true_share(hidden, "+"), true_share(hidden, "-")])
     for result in (

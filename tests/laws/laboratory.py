@@ -1,7 +1,5 @@
 """Laws as a lab would write them; none of them shares code with the published ones."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from stickslip_fit.laws import Configuration, Parameter, StepLaw

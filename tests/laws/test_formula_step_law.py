@@ -1,7 +1,5 @@
 """Step sizes by formula: against the published laws, and one message for what cannot be used."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The physical laws: closed forms of one step, quadrature along a traverse, derivatives, saving."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

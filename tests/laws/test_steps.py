@@ -1,7 +1,5 @@
 """Steps over a traverse: formulas against literal stepping, quadrature and numerical derivatives."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np
@@ -102,16 +100,6 @@ def test_slopes_are_the_derivatives_of_the_counts(name, direction):
         # Fourth order, so that rounding and truncation both stay below 1e-9.
         slope = (8 * (at(h) - at(-h)) - (at(2 * h) - at(-2 * h))) / (12 * h)
         assert np.abs((slopes[:, number] - slope) * scale / counts).max() < 1e-8
-
-
-@each_law
-@each_direction
-def test_the_response_is_the_logarithm_with_its_jacobian(name, direction):
-    law, values = LAWS[name], np.array(VALUES[name][direction])
-    rows = traverses(law, direction)
-    counts, slopes = law.counts(rows, values)
-    np.testing.assert_allclose(law.predict(rows, values), np.log(counts))
-    np.testing.assert_allclose(law.jacobian(rows, values), slopes / counts[:, None])
 
 
 def test_the_quadrature_sees_a_narrow_feature_beside_a_slope_in_another_unit():

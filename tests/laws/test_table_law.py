@@ -1,7 +1,5 @@
 """Laws of tables: formulas and functions, start values, and one message for each law that cannot be used."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Good logs as text, to be changed cell by cell: one written down, and any number made up."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field

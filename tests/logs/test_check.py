@@ -1,7 +1,5 @@
 """Every rule about a cell: the fault's line, column and value are told, with what to do."""
 
-from __future__ import annotations
-
 import pytest
 
 # Row and column of the good sheet, what is planted there, and a word of what must be said.

@@ -1,21 +1,11 @@
 """The header: which column is which quantity, and what is said when that can't be known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 REQUIRED = [
-    "session",
-    "time",
-    "joint",
-    "direction",
-    "steps",
-    "q1_deg",
-    "q2_deg",
-    "q3_mm",
-    "theta_deg",
-    "psi_deg",
+    *("session", "time", "joint", "direction", "steps"),
+    *("q1_deg", "q2_deg", "q3_mm", "theta_deg", "psi_deg"),
 ]
 
 

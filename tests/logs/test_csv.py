@@ -1,7 +1,5 @@
 """CSV as it comes: encodings, line ends, separators, quotation marks, and lines that count true."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 

@@ -1,16 +1,13 @@
 """Logs in Excel workbooks: read as they are, and faults told by sheet and cell."""
 
-from __future__ import annotations
-
 from datetime import datetime
 
+import openpyxl
 import pandas as pd
 import pytest
 
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log
-
-openpyxl = pytest.importorskip("openpyxl")
 
 
 def as_cell(column: str, text: str):

@@ -1,7 +1,5 @@
 """Rows of a Log that were made or changed by hand are held to what a file may give."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

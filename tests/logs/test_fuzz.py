@@ -1,7 +1,5 @@
 """Anything may come in: out come a true Log or an InputError that names each fault, and nothing else."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io
@@ -26,6 +24,7 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log
 from stickslip_fit.logs.schema import holds_numbers
 from stickslip_fit.units import SUFFIXES, to_si
+from tests.logs.test_columns import REQUIRED
 
 quick = settings(max_examples=6, deadline=None, suppress_health_check=list(HealthCheck))
 thorough = settings(quick, max_examples=12)
@@ -170,19 +169,7 @@ def test_a_planted_fault_in_parquet_is_told_with_its_row(folder, drafts, data):
 @quick
 def test_a_dropped_renamed_or_doubled_column_is_told(folder, drafts, data):
     draft = data.draw(drafts)
-    needed = [
-        "session",
-        "time",
-        "joint",
-        "direction",
-        "steps",
-        "q1_deg",
-        "q2_deg",
-        "q3_mm",
-        "theta_deg",
-        "psi_deg",
-    ]
-    column = data.draw(st.sampled_from(needed))
+    column = data.draw(st.sampled_from(REQUIRED))
     name = data.draw(
         st.sampled_from(["", column.upper(), f" {column}", "column", column.partition("_")[0] + "_furlong"])
     )
@@ -285,20 +272,8 @@ HEADER, *ROWS = list(csv.reader(REFERENCE.read_text("utf-8").splitlines()))
 SMALL = [HEADER, *ROWS[::16], *ROWS[1::16]]
 ODD_CELLS = [
     *(
-        "0",
-        "-0",
-        "1e308",
-        "-1e308",
-        "1e-320",
-        "1e999",
-        "nan",
-        "inf",
-        "NULL",
-        "#N/A",
-        "TRUE",
-        "1,5",
-        '""',
-        '"',
+        *("0", "-0", "1e308", "-1e308", "1e-320", "1e999", "nan", "inf", "NULL"),
+        *("#N/A", "TRUE", "1,5", '""', '"'),
     ),
     *("'=1+1", "12540.5", "9" * 20, "2012-03-05", "2012-03-05T25:00", "-90.0000001", "9223372036854775808"),
     *("+", "-", "\u2212", "ok", "\U0001f600", "\x1b[31m", "\0", ""),

@@ -1,7 +1,5 @@
 """How a cell becomes a number or a time, and a line a record, against Python's and pyarrow's own readers."""
 
-from __future__ import annotations
-
 import math
 import re
 from datetime import datetime, timedelta

@@ -1,7 +1,5 @@
 """History against a slow loop that was written from the format's words alone."""
 
-from __future__ import annotations
-
 import math
 from datetime import datetime, timedelta
 from pathlib import Path

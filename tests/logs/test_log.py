@@ -1,7 +1,5 @@
 """A Log describes itself: sessions, joints, configurations, replicates, and all of it in words."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

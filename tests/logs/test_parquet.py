@@ -1,7 +1,5 @@
 """Parquet with the same columns is equally good: same Log, same faults, rows instead of lines."""
 
-from __future__ import annotations
-
 from datetime import date
 
 import numpy as np

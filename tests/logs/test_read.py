@@ -1,7 +1,5 @@
 """What a good log becomes: SI, defaults, one Log from one file or many."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import math
@@ -25,12 +23,8 @@ def test_a_log_is_in_si_and_in_order_of_time(sheet, read):
     assert list(rows.index) == list(range(6))
     assert list(rows["session"]) == ["monday"] * 4 + ["tuesday"] * 2
     assert list(rows["time"].dt.strftime("%d %H:%M")) == [
-        "05 09:00",
-        "05 09:05",
-        "05 09:10",
-        "05 09:20",
-        "06 08:00",
-        "06 08:10",
+        *("05 09:00", "05 09:05", "05 09:10", "05 09:20"),
+        *("06 08:00", "06 08:10"),
     ]
     assert list(rows["joint"]) == [3, 3, 2, 1, 2, 3]
     assert list(rows["direction"]) == ["+", "-", "-", "+", "+", "+"]

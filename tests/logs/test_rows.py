@@ -1,7 +1,5 @@
 """Rows that no reader has checked are refused at the log's door, all faults at once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,15 +8,13 @@ import pytest
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.errors import InputError, check_count, check_rate, check_workers
 from stickslip_fit.estimation import fit_least_squares
-from stickslip_fit.logs import read_log
 from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    path = tmp_path_factory.mktemp("rows") / "log.csv"
-    hide("session", seed=1).write(path)
-    return read_log(path)
+def log():
+    return read_hidden(hide("session", seed=1))
 
 
 @pytest.mark.parametrize("compute", [diagnose, fit_least_squares])

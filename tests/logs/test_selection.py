@@ -1,7 +1,5 @@
 """Seasons: whole sessions are selected, their history stays the campaign's, and the rest is not read."""
 
-from __future__ import annotations
-
 from datetime import UTC, date, datetime
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a log is read from: folders of which nothing is left out in silence, and files that are no logs."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import os

@@ -1,7 +1,5 @@
 """Columns that look as if they were in another unit than they say: a warning, and nothing is converted."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

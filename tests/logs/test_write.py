@@ -1,7 +1,5 @@
 """A log that is written and read again is the same log, to the last bit."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 
@@ -127,13 +125,7 @@ def test_numbers_are_written_as_people_would(sheet, read, tmp_path):
     with open(tmp_path / "again.csv", encoding="utf-8", newline="") as stream:
         written = list(csv.DictReader(stream))
     for column in (
-        "q1_deg",
-        "q2_deg",
-        "theta_deg",
-        "psi_deg",
-        "temperature_C",
-        "step_period_ms",
-        "pressure_hPa",
+        *("q1_deg", "q2_deg", "theta_deg", "psi_deg", "temperature_C", "step_period_ms", "pressure_hPa"),
     ):
         moving = [f"q{row['joint']}_" in column for row in written]
         shown = ["" if own else row[column] for own, row in zip(moving, written, strict=True)]

@@ -1,7 +1,5 @@
 """An arm in which no two numbers agree, and the same arm in an independent physics engine."""
 
-from __future__ import annotations
-
 import tomllib
 
 import numpy as np
@@ -112,10 +110,8 @@ def nominal():
 
 
 @pytest.fixture(scope="session")
-def arm(tmp_path_factory):
-    path = tmp_path_factory.mktemp("machine") / "odd.toml"
-    path.write_text(ODD_ARM)
-    return load_machine(path)
+def arm(machine_of):
+    return machine_of(ODD_ARM)
 
 
 @pytest.fixture(scope="session")

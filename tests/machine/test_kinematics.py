@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np
@@ -7,7 +5,7 @@ import pytest
 from scipy.optimize import root
 
 from stickslip_fit.errors import InputError
-from stickslip_fit.machine import forward, inverse, jacobian, load_machine, nearest_solution, reach
+from stickslip_fit.machine import forward, inverse, jacobian, nearest_solution, reach
 
 
 def grid(machine, sizes=(9, 13, 5)):
@@ -81,15 +79,13 @@ def test_no_solution_is_missed(arm):
     assert set(counts) == {1, 2}
 
 
-def test_a_wide_range_gives_a_solution_for_every_turn(tmp_path):
-    path = tmp_path / "wide.toml"
-    path.write_text(
+def test_a_wide_range_gives_a_solution_for_every_turn(machine_of):
+    machine = machine_of(
         "[geometry]\na1_mm = 10\nl2_mm = 30\n"
         "[range]\nq1_deg = [-200, 200]\nq2_deg = [-210, 30]\nq3_mm = [0, 9]\n"
         + "[[link]]\nmass_g = 1\ncom_mm = 0\ninertia_g_mm2 = [1, 1, 1]\n"
         * 3
     )
-    machine = load_machine(path)
     found = inverse(machine, forward(machine, np.radians([190.0, -90.0, 0.0])))
     assert sorted(np.degrees([q[0] for q in found])) == pytest.approx([-170.0, 190.0])
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import hashlib
 from importlib import resources
 
@@ -12,19 +10,9 @@ from stickslip_fit.machine import load_machine
 NOMINAL = resources.files("stickslip_fit.machine").joinpath("mm3a.toml").read_text(encoding="utf-8")
 
 
-@pytest.fixture
-def load(tmp_path):
-    def write_and_load(content):
-        path = tmp_path / "mine.toml"
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-        return load_machine(path)
-
-    return write_and_load
-
-
-def problems(load, content):
+def problems(machine_of, content):
     with pytest.raises(InputError) as error:
-        load(content)
+        machine_of(content)
     assert all(problem.file.endswith("mine.toml") for problem in error.value.problems)
     return [(problem.column, problem.value, problem.message) for problem in error.value.problems]
 
@@ -77,12 +65,11 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("case", FAULTS)
-def test_a_fault_is_named_with_its_key_and_value(load, case):
+def test_a_fault_is_named_with_its_key_and_value(machine_of, case):
     there, instead, key, value, advice = FAULTS[case]
     assert NOMINAL.count(there) == 1
-    found = {
-        column: (shown, message) for column, shown, message in problems(load, NOMINAL.replace(there, instead))
-    }
+    told = problems(machine_of, NOMINAL.replace(there, instead))
+    found = {column: (shown, message) for column, shown, message in told}
     shown, message = found[key]
     assert advice in message
     assert shown is None if value is None else shown.startswith(value)
@@ -92,18 +79,18 @@ def test_a_fault_is_named_with_its_key_and_value(load, case):
     "links",
     ["", "link = 3", "link = [{}, {}, {}, 4]", "[[link]]\nmass_g = 1\ncom_mm = 1\ninertia_g_mm2 = [1, 1, 1]"],
 )
-def test_three_links_are_wanted(load, links):
+def test_three_links_are_wanted(machine_of, links):
     top, rest = ("", links) if links.startswith("[[") else (links, "")
     text = f"{top}\n{NOMINAL[: NOMINAL.index('[[link]]')]}\n{rest}"
-    assert [(column, message) for column, _, message in problems(load, text)] == [
+    assert [(column, message) for column, _, message in problems(machine_of, text)] == [
         ("link", "give three [[link]] tables, base to tip")
     ]
 
 
-def test_all_faults_are_told_together(load):
+def test_all_faults_are_told_together(machine_of):
     text = NOMINAL.replace("a1_mm = 12.5", "a1_mm = -1").replace("[-210, 30]", "[30, -210]")
     text = text.replace("mass_g = 5.0", "mass_g = 'light'")
-    assert [column for column, _, _ in problems(load, text)] == [
+    assert [column for column, _, _ in problems(machine_of, text)] == [
         "geometry.a1_mm",
         "range.q2_deg",
         "link 3 mass_g",
@@ -122,14 +109,14 @@ def test_all_faults_are_told_together(load):
     ],
     ids=["yaml", "bottomless", "endless", "bytes", "utf-16", "twice"],
 )
-def test_what_is_no_toml(load, content):
-    ((column, _, message),) = problems(load, content)
+def test_what_is_no_toml(machine_of, content):
+    ((column, _, message),) = problems(machine_of, content)
     assert column is None
     assert "is no TOML file" in message
 
 
-def test_an_empty_file_lacks_everything(load):
-    assert [column for column, _, _ in problems(load, "")] == [
+def test_an_empty_file_lacks_everything(machine_of):
+    assert [column for column, _, _ in problems(machine_of, "")] == [
         "geometry.a1_mm", "geometry.l2_mm", "range.q1_deg", "range.q2_deg", "range.q3_mm", "link",
     ]  # fmt: skip
 
@@ -142,10 +129,10 @@ def test_no_such_file(tmp_path):
         assert "name an existing machine file" in str(error.value)
 
 
-def test_a_byte_order_mark_is_no_fault(load, nominal):
-    assert load("\ufeff" + NOMINAL).ranges == nominal.ranges
+def test_a_byte_order_mark_is_no_fault(machine_of, nominal):
+    assert machine_of("\ufeff" + NOMINAL).ranges == nominal.ranges
 
 
-def test_the_hash_is_of_the_bytes(load, nominal):
-    assert load(NOMINAL).sha256 == nominal.sha256 == hashlib.sha256(NOMINAL.encode()).hexdigest()
-    assert load(NOMINAL + "# remeasured\n").sha256 != nominal.sha256
+def test_the_hash_is_of_the_bytes(machine_of, nominal):
+    assert machine_of(NOMINAL).sha256 == nominal.sha256 == hashlib.sha256(NOMINAL.encode()).hexdigest()
+    assert machine_of(NOMINAL + "# remeasured\n").sha256 != nominal.sha256

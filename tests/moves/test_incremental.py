@@ -1,7 +1,5 @@
 """Dead reckoning of a drive step by step, against drives simulated with drawn laws and held noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +8,6 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.estimation.with_causes import FixedCauseLaw
 from stickslip_fit.laws import Base, Elbow, Prismatic
-from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
 from stickslip_fit.moves import (
     TrueLaws,
@@ -212,13 +209,12 @@ def test_a_users_drives_and_those_of_many_moves_agree(arm):
         plan_drives(arm, draw_random_paths(arm.machine, 2, seed=1))
 
 
-def test_a_users_drives_make_up_for_each_reversal(campaign, tmp_path_factory):
+def test_a_users_drives_make_up_for_each_reversal(campaign, read_table):
     """Along a chord, joint 3 first goes in and then out again."""
-    path = tmp_path_factory.mktemp("reversal") / "campaign.csv"
-    campaign(settings=CALIBRATION + CALIBRATION[::-1]).to_csv(path, index=False)
+    log = read_table(campaign(settings=CALIBRATION + CALIBRATION[::-1]))
     causes = [cause for cause in library() if cause.name == "reversal-loss"]
-    usual = calibrated_arm(fit_least_squares(read_log(path)))
-    arm = calibrated_arm(with_loss(fit_least_squares(read_log(path), causes=causes), 30.0))
+    usual = calibrated_arm(fit_least_squares(log))
+    arm = calibrated_arm(with_loss(fit_least_squares(log, causes=causes), 30.0))
     start = np.array([0.0, -1.25, 0.006])
     middle = -1.25 + 0.04
     way = np.array([-np.cos(middle), 0.0, -np.sin(middle)])

@@ -1,7 +1,5 @@
 """What the notebooks take from the package exists; by night they are run."""
 
-from __future__ import annotations
-
 import ast
 import re
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Every notebook runs, and still says what is stored beside it."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Progress: a bar at a terminal, lines in a file, nothing where it is not wanted."""
 
-from __future__ import annotations
-
 import io
 
 from stickslip_fit import _progress

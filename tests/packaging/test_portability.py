@@ -1,7 +1,5 @@
 """What would keep the package or its tests from being loaded where a system or a Python lacks something."""
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib

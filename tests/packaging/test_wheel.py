@@ -1,7 +1,5 @@
 """The built wheel, installed into an empty environment: no checkout, no extras, no make."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Fixtures for figures: logs fitted as for a report."""
 
-from __future__ import annotations
-
 from tests.reporting.conftest import fitted, read_page, reported, whole
 
 __all__ = ["fitted", "read_page", "reported", "whole"]

@@ -1,7 +1,5 @@
 """Rows laid period over period stand where a wave of that period has them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

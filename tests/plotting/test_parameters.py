@@ -1,7 +1,5 @@
 """Control chart, forest and corner: what is drawn, against numbers got another way."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,12 +10,8 @@ from stickslip_fit.bayes import fit_bayes
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.estimation.prediction import control_chart
 from stickslip_fit.plotting.parameters import control_picture, plot_control
+from tests.conftest import CALIBRATION_3
 
-CALIBRATION = (
-    {"joint": 3, "q2_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0},
-)
 NANO = np.array([1e9, 1.0, 1e9])  # a, b, c from SI to what is shown
 DAYS = tuple(f"2012-03-{day:02d}" for day in range(1, 9))
 
@@ -25,7 +19,7 @@ DAYS = tuple(f"2012-03-{day:02d}" for day in range(1, 9))
 @pytest.fixture(scope="module")
 def days(campaign, fitted):
     """Eight sessions; the step size changes by 1 % from one to the next, and by 10 % to the last."""
-    table = campaign(DAYS, CALIBRATION)
+    table = campaign(DAYS, CALIBRATION_3)
     factor = np.exp(0.01 * np.random.default_rng(3).standard_normal(len(DAYS)))
     factor[-1] *= 0.9
     table["steps"] = (

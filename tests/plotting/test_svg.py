@@ -1,7 +1,5 @@
 """Figures are made smaller, not different."""
 
-from __future__ import annotations
-
 import io
 import re
 from xml.etree import ElementTree

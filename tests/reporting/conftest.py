@@ -1,18 +1,15 @@
 """Reports of made-up campaigns, and a reader of the page that knows nothing of how it was written."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from stickslip_fit.estimation import Result, fit_closed_form, fit_constant_step, fit_least_squares
-from stickslip_fit.logs import Log, read_log
+from stickslip_fit.logs import Log
 from stickslip_fit.reporting import report
 
 VOID = {"br", "input", "meta"}
@@ -77,6 +74,12 @@ class Page(HTMLParser):
         return [row[places[which]] for row in self.tables[caption]]
 
 
+def hours_in_session(table: pd.DataFrame) -> pd.Series:
+    """From each session's first traverse on, of a table in a log file's columns."""
+    time = pd.to_datetime(table["time"])
+    return (time - time.groupby(table["session"]).transform("min")).dt.total_seconds() / 3600.0
+
+
 @pytest.fixture(scope="session")
 def read_page() -> type[Page]:
     """The reader, for pages made elsewhere."""
@@ -95,11 +98,7 @@ class Fitted:
     @property
     def html(self) -> str:
         page = report(
-            self.log,
-            calibration=self.calibration,
-            fit=self.fit,
-            sections=(),
-            command="stickslip-fit report",
+            self.log, calibration=self.calibration, fit=self.fit, sections=(), command="stickslip-fit report"
         )
         return page.html
 
@@ -118,13 +117,11 @@ class Reported(Fitted):
 
 
 @pytest.fixture(scope="session")
-def fitted(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Fitted]:
+def fitted(read_table: Callable[..., Log]) -> Callable[..., Fitted]:
     """Fit a table in a log file's columns."""
 
     def make(table: pd.DataFrame, name: str = "log.csv") -> Fitted:
-        path = Path(tmp_path_factory.mktemp("report")) / name
-        table.to_csv(path, index=False)
-        log = read_log(path)
+        log = read_table(table, name)
         calibration = fit_closed_form(log)
         return Fitted(log, calibration, fit_constant_step(log, calibration), fit_least_squares(log))
 

@@ -1,7 +1,5 @@
 """The section on factors: its numbers are the analysis's, and every reading is in its figures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

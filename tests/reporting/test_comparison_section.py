@@ -1,7 +1,5 @@
 """The report's section on calibration strategies."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,17 +1,14 @@
 """A diagnosis as people see it: page, section, notebook, figures; and the verb that makes them."""
 
-from __future__ import annotations
-
 import json
 import re
-import sys
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit import cli
 from stickslip_fit._format import NO_BREAK_SPACE
 from stickslip_fit.diagnosis import Diagnosis, Gain, NextTraverse, diagnose
 from stickslip_fit.diagnosis._summary import write_headline
@@ -27,6 +24,7 @@ from stickslip_fit.plotting.diagnosis import (
 )
 from stickslip_fit.plotting.residuals import draw_finding, draw_residuals_overview
 from stickslip_fit.reporting.diagnosis import diagnosis_page, number_residuals
+from tests.reporting.conftest import hours_in_session
 
 SETTINGS = tuple(
     {"joint": 3, "q2_deg": q2, "theta_deg": theta} for q2 in (-90.0, -45.0, 0.0) for theta in (0.0, -60.0)
@@ -39,9 +37,7 @@ DATES = ("2012-03-05", "2012-03-06", "2012-03-07")
 def drifting(campaign):
     """Three sessions, one with markup in its name, in which steps shrink by 0.3 % an hour."""
     table = campaign(DATES, SETTINGS, replicates=4)
-    time = pd.to_datetime(table["time"])
-    hours = (time - time.groupby(table["session"]).transform("min")).dt.total_seconds() / 3600.0
-    steps = np.round(table["steps"] * (1.0 + 0.003 * hours) / 5.0).astype(int) * 5
+    steps = np.round(table["steps"] * (1.0 + 0.003 * hours_in_session(table)) / 5.0).astype(int) * 5
     return table.assign(
         steps=steps, session=table["session"].replace(dict(zip(DATES, SESSIONS, strict=True)))
     )
@@ -65,19 +61,8 @@ def found(made) -> Diagnosis:
     )
     gain = Gain(0.0216, 0.0041, 0.0027, 0.012, 0.021, sessions)
     traverse = NextTraverse(
-        "new",
-        3,
-        "-",
-        0.0,
-        -np.pi / 4,
-        np.nan,
-        0.0,
-        0.0,
-        np.nan,
-        np.nan,
-        4,
-        ("drift", "thermal-warm-up"),
-        "late",
+        *("new", 3, "-", 0.0, -np.pi / 4, np.nan, 0.0, 0.0, np.nan, np.nan, 4),
+        *(("drift", "thermal-warm-up"), "late"),
     )
     decided = diagnose(made.log, alpha=0.02, gain=False)
     (drift,) = decided.findings
@@ -231,30 +216,14 @@ def test_a_page_of_hardly_anything(drifting, fitted, read_page, rows):
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["stickslip-fit", "diagnose", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        printed = capsys.readouterr()
-        return int(ended.value.code or 0), printed.out, printed.err
-
-    return call
+def run(run):
+    return partial(run, "diagnose")
 
 
 def test_the_verb_answers_and_saves(run, campaign, tmp_path):
     campaign(DATES[:2], SETTINGS, replicates=3).to_csv(tmp_path / "log.csv", index=False)
-    outputs = (
-        "--json",
-        tmp_path / "out.json",
-        "--report",
-        tmp_path / "out.html",
-        "--alpha",
-        0.02,
-        "--seed",
-        3,
-    )
-    status, out, err = run(tmp_path / "log.csv", *outputs)
+    outputs = ("--json", tmp_path / "out.json", "--report", tmp_path / "out.html")
+    status, out, err = run(tmp_path / "log.csv", *outputs, "--alpha", 0.02, "--seed", 3)
     assert (status, err) == (0, "")
     assert out.startswith("Nothing is wrong that this log can show")
     content = json.loads((tmp_path / "out.json").read_text("utf-8"))
@@ -271,17 +240,15 @@ def test_the_same_seed_gives_the_same_answer(run, campaign, tmp_path):
     assert texts[0] == texts[1]
 
 
-def test_what_cannot_be_written_is_refused_before_the_work(run, campaign, tmp_path, monkeypatch):
+def test_what_cannot_be_written_is_refused_before_the_work(refused, campaign, tmp_path, monkeypatch):
     campaign(DATES[:1], SETTINGS).to_csv(tmp_path / "log.csv", index=False)
     monkeypatch.setattr(
         "stickslip_fit.cli.diagnose.diagnose_with_progress", lambda *_: pytest.fail("worked before refusing")
     )
     for option in ("--json", "--report"):
-        status, _, err = run(tmp_path / "log.csv", option, tmp_path / "nowhere" / "out")
-        assert status == 2
-        assert "cannot be written" in err
+        assert "cannot be written" in refused(tmp_path / "log.csv", option, tmp_path / "nowhere" / "out")
     same = tmp_path / "out"
-    assert run(tmp_path / "log.csv", "--json", same, "--report", same)[0] == 2
+    refused(tmp_path / "log.csv", "--json", same, "--report", same)
 
 
 def test_a_log_that_cannot_be_read_leaves_no_file(run, campaign, tmp_path):

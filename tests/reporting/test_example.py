@@ -1,7 +1,5 @@
 """The committed example is what its command gives."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a report shows at once, and what it folds; what the script alone offers."""
 
-from __future__ import annotations
-
 import re
 
 

@@ -1,7 +1,5 @@
 """What a report says first: the diagnosis where there is one, and the accuracy without other reasons."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -17,6 +15,7 @@ from stickslip_fit.estimation import held_out_errors
 from stickslip_fit.laws import expected_steps
 from stickslip_fit.reporting import report
 from stickslip_fit.reporting.headline import headline_table, write_headline
+from tests.reporting.conftest import hours_in_session
 
 SETTINGS = tuple(
     {"joint": 3, "q2_deg": q2, "theta_deg": theta} for q2 in (-90.0, -45.0, 0.0) for theta in (0.0, -90.0)
@@ -29,9 +28,7 @@ SHRINKS = 0.01  # an hour
 def made(campaign, fitted):
     """Three sessions in which steps shrink by 1 % an hour."""
     table = campaign(DATES, SETTINGS, replicates=3)
-    time = pd.to_datetime(table["time"])
-    hours = (time - time.groupby(table["session"]).transform("min")).dt.total_seconds() / 3600.0
-    steps = np.round(table["steps"] * (1.0 + SHRINKS * hours) / 5.0).astype(int) * 5
+    steps = np.round(table["steps"] * (1.0 + SHRINKS * hours_in_session(table)) / 5.0).astype(int) * 5
     return fitted(table.assign(steps=steps), "drifting.csv")
 
 

@@ -1,7 +1,5 @@
 """Names, notes and files come from outside: none of them may become markup, a formula or a crash."""
 
-from __future__ import annotations
-
 import html
 import json
 

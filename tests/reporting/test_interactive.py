@@ -1,7 +1,5 @@
 """What the page's script is given: the log's own traverses, few enough, as data that stays data."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import base64
 import hashlib
 import re
@@ -11,15 +9,15 @@ import pytest
 from stickslip_fit.estimation import held_out_errors
 from stickslip_fit.reporting.headline import write_headline
 from stickslip_fit.strategies.claims import PRISMATIC_CLAIMS, ROTARY_CLAIMS
+from tests.conftest import CALIBRATION_3
+from tests.reporting.conftest import hours_in_session
 from tests.thesis.published import value as published
 
 ROOT = Path(__file__).parents[2]
 
 
 TURNS = (
-    {"joint": 3, "q2_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0},
+    *CALIBRATION_3,
     *({"joint": 3, "q2_deg": -90.0, "psi_deg": psi} for psi in (-60.0, -30.0, 30.0, 60.0) * 3),
 )
 
@@ -107,9 +105,7 @@ def test_parameters_on_the_page_are_those_of_the_results(whole):
             cells = [
                 cell
                 for line, cell in zip(
-                    whole.page.tables[caption],
-                    whole.page.column(caption, f"{row.name}{unit}"),
-                    strict=True,
+                    whole.page.tables[caption], whole.page.column(caption, f"{row.name}{unit}"), strict=True
                 )
                 if line[:3] == [row.session, row.direction.replace("-", "−"), estimator]
             ]
@@ -150,17 +146,8 @@ def test_the_accuracy_of_the_prismatic_joint_by_hand(campaign, whole):
 def test_what_a_correct_law_cannot_explain_is_said(campaign, fitted, whole):
     assert "no more than repeatability and the calibration's own uncertainty explain" in whole.page.text
     warming = campaign(settings=TURNS)
-    hours = (
-        warming.groupby("session")["time"]
-        .transform(
-            lambda times: (np.array(times, "datetime64[s]") - np.datetime64(times.iloc[0])).astype(float)
-        )
-        .to_numpy(float)
-        / 3600
-    )
-    warming["steps"] = (warming["steps"] * (1 + 0.05 * (1 - np.exp(-hours / 1.0))) / 5).round().astype(
-        int
-    ) * 5
+    grown = warming["steps"] * (1 + 0.05 * (1 - np.exp(-hours_in_session(warming))))
+    warming["steps"] = (grown / 5).round().astype(int) * 5
     made = fitted(warming)
     errors = held_out_errors(made.log, made.calibration).si
     told = " ".join(write_headline(made.log, made.calibration, errors))
@@ -181,9 +168,7 @@ def test_claims_are_the_published_ones():
 
 @pytest.mark.parametrize("joint", [1, 2, 3])
 def test_the_claims_table_counts_traverses(whole, joint):
-    from stickslip_fit.estimation import held_out_errors as errors_of
-
-    errors = errors_of(whole.log, whole.calibration, whole.constant).si
+    errors = held_out_errors(whole.log, whole.calibration, whole.constant).si
     subset = errors[errors["joint"] == joint]
     limit, scale = (100.0, 1e9) if joint == 3 else (1.0, 1e6)
     within = sum(abs(row.law - row.measured) * scale <= limit for row in subset.itertuples()) / len(subset)

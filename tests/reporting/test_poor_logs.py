@@ -1,18 +1,12 @@
 """A log too poor for a law still gets its report, which says what is missing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from stickslip_fit.diagnosis import pipeline
 from stickslip_fit.reporting import report
+from tests.conftest import CALIBRATION_3
 
-CALIBRATION = (
-    {"joint": 3, "q2_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0, "theta_deg": -90.0},
-    {"joint": 3, "q2_deg": 0.0},
-)
 PSI = tuple({"joint": 3, "q2_deg": -90.0, "psi_deg": psi} for psi in (-60.0, 30.0))
 PARTS = tuple(
     {"joint": 1, "theta_deg": -90.0, "from_deg": start, "to_deg": start - 30.0}
@@ -21,11 +15,11 @@ PARTS = tuple(
 ONE_DAY = ("2012-03-05",)
 POOR = {
     "one direction": (
-        {"settings": CALIBRATION + PSI, "directions": ("+",)},
+        {"settings": CALIBRATION_3 + PSI, "directions": ("+",)},
         "Joint 3 was not driven in direction −: nothing is known of that.",
     ),
     "calibration only, once": (
-        {"settings": CALIBRATION, "replicates": 1, "sessions": ONE_DAY},
+        {"settings": CALIBRATION_3, "replicates": 1, "sessions": ONE_DAY},
         "cannot be judged: there is no traverse beside those that the calibration used",
     ),
     "partial traverses only": (
@@ -33,7 +27,7 @@ POOR = {
         "missing: a full traverse at q2 = -90°, q3 = 0 mm, theta = 0°",
     ),
     "no replicates": (
-        {"settings": CALIBRATION + PSI, "replicates": 1},
+        {"settings": CALIBRATION_3 + PSI, "replicates": 1},
         "Whether that is as good as repeatability allows cannot be said for joint 3: too few replicates",
     ),
 }
@@ -70,7 +64,7 @@ def test_a_section_that_does_not_converge_says_which_computation_failed(campaign
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
 
     monkeypatch.setattr(pipeline, "find_gross_errors", fail)
-    log = reported(campaign(settings=CALIBRATION)).log
+    log = reported(campaign(settings=CALIBRATION_3)).log
     failed = (
         "stickslip_fit.diagnosis.pipeline.diagnose_problem did not converge (Eigenvalues did not converge)"
     )
@@ -91,7 +85,7 @@ def test_what_cannot_be_known_is_called_so(campaign, reported):
 
 
 def test_interrupted_and_excluded_traverses_are_counted(campaign, reported):
-    table = campaign(settings=CALIBRATION + PSI)
+    table = campaign(settings=CALIBRATION_3 + PSI)
     table["status"] = ["interrupted", "excluded", "excluded"] + ["ok"] * (len(table) - 3)
     page = reported(table).page
     assert (

@@ -1,7 +1,3 @@
-from __future__ import annotations
-
-import base64
-import hashlib
 import json
 import re
 from html.parser import HTMLParser
@@ -11,6 +7,7 @@ import pytest
 from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
 from stickslip_fit.reporting.moves import sheet_html, write_sheet_page
+from tests.reporting.test_page import sha256
 
 PLAN = """
 name = "<script>alert(1)</script> & co"
@@ -130,8 +127,7 @@ def test_the_policy_trusts_this_style_alone_and_no_script(plan):
     (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', source.replace("&#39;", "'"))
     rules = {name: set(rest) for name, *rest in map(str.split, policy.split(";"))}
     (style,) = re.findall(r"<style>(.*?)</style>", source, re.DOTALL)
-    digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode()
-    assert rules["style-src"] == {f"'sha256-{digest}'"}
+    assert rules["style-src"] == {sha256(style)}
     assert all(rules[name] == {"'none'"} for name in ("default-src", "script-src", "base-uri", "form-action"))
     assert source.index("http-equiv") < source.index("<style>")
 

@@ -1,9 +1,6 @@
-from __future__ import annotations
-
 import pandas as pd
 import pytest
 
-from stickslip_fit.logs import read_log
 from stickslip_fit.reporting import report
 
 MOST = 4_500_000
@@ -11,7 +8,7 @@ MOST = 4_500_000
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("days", [22, 100])
-def test_a_page_does_not_grow_with_the_log(campaign, read_page, tmp_path, days):
+def test_a_page_does_not_grow_with_the_log(campaign, read_page, read_table, days):
     """Years of sessions: shown are the latest, and of too many points a sample; the page says so."""
     once = campaign(("2012-03-05",))
     years = pd.concat(
@@ -25,9 +22,7 @@ def test_a_page_does_not_grow_with_the_log(campaign, read_page, tmp_path, days):
             for day in range(days)
         ]
     )
-    path = tmp_path / "years.csv"
-    years.to_csv(path, index=False)
-    log = read_log(path)
+    log = read_table(years)
     html = report(log, sections=()).html
     page = read_page(html)
     sessions = page.tables["Sessions and traverses"]

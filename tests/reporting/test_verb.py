@@ -1,10 +1,9 @@
 """The verb that writes the whole report."""
 
-from __future__ import annotations
-
 import pytest
 
-from tests.reporting.test_poor_logs import CALIBRATION, PSI
+from tests.conftest import CALIBRATION_3
+from tests.reporting.test_poor_logs import PSI
 
 SECTIONS = {"diagnosis": "What the simulation gets wrong", "strategies": "Which calibration to choose"}
 DAYS = tuple(f"2012-03-{day:02d}" for day in range(1, 6))
@@ -29,7 +28,7 @@ def headings(page):
 
 
 def test_the_page_is_complete(written, campaign):
-    page = written(campaign(settings=CALIBRATION + PSI))
+    page = written(campaign(settings=CALIBRATION_3 + PSI))
     assert {"answer", "measured", "parameters", "accuracy", "factors", *SECTIONS} <= headings(page)
     assert {"methods", "remarks", "provenance"} <= headings(page)
     assert "Mean step size of each traverse" in page.text
@@ -39,12 +38,12 @@ def test_the_page_is_complete(written, campaign):
 
 
 def test_what_is_not_wanted_is_left_out(written, campaign):
-    page = written(campaign(settings=CALIBRATION + PSI), "--no-diagnosis", "--no-strategies")
+    page = written(campaign(settings=CALIBRATION_3 + PSI), "--no-diagnosis", "--no-strategies")
     assert not headings(page) & set(SECTIONS)
 
 
 def test_a_section_that_cannot_be_says_why_and_costs_nothing_else(written, campaign):
-    page = written(campaign(("2012-03-05",), CALIBRATION, replicates=1))
+    page = written(campaign(("2012-03-05",), CALIBRATION_3, replicates=1))
     assert set(SECTIONS) <= headings(page)
     assert (
         "This log cannot say: joint 3: nothing shows how well a traverse repeats, so that no difference "
@@ -57,5 +56,5 @@ def test_a_section_that_cannot_be_says_why_and_costs_nothing_else(written, campa
 @pytest.mark.nightly
 def test_many_sessions_are_compared_by_the_latest(written, campaign, monkeypatch):
     monkeypatch.setattr("stickslip_fit.reporting.page.MAX_COMPARED_SESSIONS", 3)
-    page = written(campaign(DAYS, CALIBRATION + PSI[:1], replicates=1), "--no-diagnosis")
+    page = written(campaign(DAYS, CALIBRATION_3 + PSI[:1], replicates=1), "--no-diagnosis")
     assert "Compared on the latest 3 of 5 sessions" in page.text

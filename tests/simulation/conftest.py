@@ -1,7 +1,5 @@
 """Plans and laws small enough to work out by hand."""
 
-from __future__ import annotations
-
 import pytest
 
 from stickslip_fit.logs.plan_reader import read_plan

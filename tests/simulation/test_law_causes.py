@@ -1,7 +1,5 @@
 """Causes written into a law file, beside their equations by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

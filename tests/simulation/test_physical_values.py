@@ -1,7 +1,5 @@
 """Physical laws in law files: against the closed form of one step, integrated here, and against their fit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """StepTable, on a step that has a closed form, with the kink where the regime changes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

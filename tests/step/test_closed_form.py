@@ -1,7 +1,5 @@
 """The closed forms of a step: continuity, symmetry, the printed values of a and c, derivatives."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -18,7 +16,7 @@ GRAVITY = 9.81
 
 
 def draws(seed: int, size: int) -> tuple[np.ndarray, ...]:
-    """Friction acceleration, ramp time, amplitude, load and flyback time, in all regimes."""
+    """Friction, ramp time, amplitude, load, flyback time: all regimes, with and without back-slip."""
     rng = np.random.default_rng(seed)
     friction = rng.uniform(20, 200, size)
     ramp_time = rng.uniform(5e-5, 4e-4, size)

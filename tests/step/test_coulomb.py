@@ -1,7 +1,5 @@
 """The event-driven solver against the closed forms, a time-stepped integration, and its own limits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -16,20 +14,11 @@ from stickslip_fit.step import (
     motion_from_table,
     step_size,
 )
-
-
-def draws(size: int) -> tuple[np.ndarray, ...]:
-    """Friction, ramp time, amplitude, load, flyback time: all regimes, with and without back-slip."""
-    rng = np.random.default_rng(5)
-    friction = rng.uniform(20, 200, size)
-    ramp_time = rng.uniform(5e-5, 4e-4, size)
-    amplitude = friction * ramp_time**2 * np.exp(rng.uniform(-2.5, 1.5, size))
-    load = friction * rng.uniform(-0.9, 0.9, size)
-    return friction, ramp_time, amplitude, load, ramp_time * rng.choice([0, 0.05, 0.3, 1, 3], size)
+from tests.step.test_closed_form import draws
 
 
 def test_it_equals_the_closed_forms():
-    friction, ramp_time, amplitude, load, flyback_time = draws(100_000)
+    friction, ramp_time, amplitude, load, flyback_time = draws(5, 100_000)
     limited = is_friction_limited(friction, ramp_time, amplitude, load)
     assert 0.2 < limited.mean() < 0.8
     solved = coulomb_step(make_motion("ramp", amplitude, ramp_time, flyback_time), friction, load)

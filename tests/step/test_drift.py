@@ -1,7 +1,5 @@
 """Heat and wear: which of them the step shows depends on the regime."""
 
-from __future__ import annotations
-
 from math import exp
 
 import numpy as np

@@ -4,8 +4,6 @@ C. Canudas de Wit et al., IEEE Trans. Automatic Control 40:419 (1995): sigma0 = 
 N s/m, sigma2 = 0.4 N s/m, Fc = 1 N, Fs = 1.5 N, vs = 1 mm/s.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

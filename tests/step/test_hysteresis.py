@@ -1,7 +1,5 @@
 """Hysteresis of the piezo: both models against each other, their loops and a step against closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

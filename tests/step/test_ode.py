@@ -1,7 +1,5 @@
 """Solvers of bristle friction: accuracy, limits, dynamics of foot and base; each by both solvers."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 from time import process_time
 

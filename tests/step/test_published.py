@@ -1,7 +1,5 @@
 """Numbers of the works that the thesis reviews (Sec. 2.2), as docs/explanation/step.md quotes them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What a recoiling base costs of the step: closed forms against the integration with stiff bristles."""
 
-from __future__ import annotations
-
 from math import pi
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Stages, their files and the command: regimes, sweeps, faults with their lines."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib.resources import files
 
@@ -57,12 +55,7 @@ def test_the_step_is_that_of_the_closed_form():
 def test_what_the_step_depends_on_tells_the_regimes_apart():
     """Friction-limited: a_f T1^2, no voltage. Catching up: the voltage alone."""
     limited, reached = analyse_stage(LIMITED), analyse_stage(REACHED)
-    for name, slopes in {
-        "mass": (-1, 0),
-        "voltage": (0, 1),
-        "preload": (1, 0),
-        "ramp time": (2, 0),
-    }.items():
+    for name, slopes in {"mass": (-1, 0), "voltage": (0, 1), "preload": (1, 0), "ramp time": (2, 0)}.items():
         assert limited.elasticities[name] == pytest.approx(slopes[0], abs=1e-3)
         assert reached.elasticities[name] == pytest.approx(slopes[1], abs=1e-3)
     r = GRAVITY / 50.0
@@ -148,11 +141,7 @@ def test_the_example_of_a_stage_file_is_read(tmp_path):
     [
         ("mass_g = 5.0 ", "mass_g = -5.0 ", "line 6, column slider.mass_g, value '-5.0'"),
         ("gravity = 0.0 ", "gravity = 1.0\nforce_N = 3.0", "does not hold the load of 3.05 N"),
-        (
-            '"coulomb"',
-            '"lugre"',
-            "line 13, column contact.model, value 'lugre': give the bristles'",
-        ),
+        ('"coulomb"', '"lugre"', "line 13, column contact.model, value 'lugre': give the bristles'"),
         ('"ramp"', '"saw"', "line 21, column drive.waveform, value 'saw': give one of 'ramp'"),
         ("ramp_time_ms = 0.14\n", "", "give a ramp time"),
         ("# shares", "shares", "give both times and shares"),
@@ -176,11 +165,7 @@ def test_the_example_of_a_stage_file_is_read(tmp_path):
             "give weights and thresholds, or stiffnesses and break_voltages",
         ),
         ("# [hysteresis]", "[hysteresis]\nthresholds_V = 3 #", "give a list of numbers"),
-        (
-            "flyback_time_ms = 0.005",
-            "flyback_time_ms = 0.0",
-            "",
-        ),
+        ("flyback_time_ms = 0.005", "flyback_time_ms = 0.0", ""),
     ],
 )
 def test_faults_of_a_stage_file_are_named_with_their_line(tmp_path, old, new, said):

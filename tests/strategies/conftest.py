@@ -1,7 +1,5 @@
 """A campaign made without the laws' code, as a log."""
 
-from __future__ import annotations
-
 import pytest
 
 from stickslip_fit.logs import read_log

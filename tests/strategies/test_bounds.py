@@ -1,7 +1,5 @@
 """Least squares on optimal traverses is as good as any unbiased calibration from so many can be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Intervals and verdicts over many simulated logs of joint 3, each of a few sessions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -126,16 +124,17 @@ def check(errors):
 
 
 @pytest.mark.parametrize(
-    ("kind", "logs"), [("gaussian", 150), pytest.param("t5", 100, marks=pytest.mark.nightly)]
+    ("kind", "logs"),
+    [
+        ("gaussian", 150),
+        *(
+            pytest.param(*one, marks=pytest.mark.nightly)
+            for one in (("t5", 100), ("gaussian", 2000), ("t5", 2000))
+        ),
+    ],
 )
 def test_intervals_cover_and_equals_are_called_so(kind, logs, tmp_path):
     check(all_at_once(simulated(logs * A_LOG, tmp_path, kind)))
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("kind", ["gaussian", "t5"])
-def test_intervals_cover_in_many_logs(kind, tmp_path):
-    check(all_at_once(simulated(2000 * A_LOG, tmp_path, kind)))
 
 
 @pytest.mark.nightly

@@ -1,7 +1,5 @@
 """Intervals over the configurations of one session: they hold for more configurations of that session."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

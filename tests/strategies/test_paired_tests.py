@@ -1,7 +1,5 @@
 """Variances that borrow from each other, and the verdicts that rest on them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

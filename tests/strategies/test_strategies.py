@@ -1,7 +1,5 @@
 """What each strategy makes of its traverses, beside the estimators of `fit`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -31,13 +29,7 @@ from stickslip_fit.strategies import (
     default_strategies,
     other_sessions,
 )
-from stickslip_fit.strategies.base import (
-    LawFit,
-    UncertainLaw,
-    predict_together,
-    solve_law,
-    solve_together,
-)
+from stickslip_fit.strategies.base import LawFit, UncertainLaw, predict_together, solve_law, solve_together
 from stickslip_fit.strategies.evaluation import evaluate_strategies, make_cases
 from stickslip_fit.strategies.library import CampaignFit
 from tests.conftest import CALIBRATION, SWEEPS

@@ -1,7 +1,5 @@
 """The comparison as a notebook shows it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

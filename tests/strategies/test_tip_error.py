@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -7,8 +5,8 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.errors import InputError
-from stickslip_fit.laws import Base, Elbow, Prismatic, constant_law
-from stickslip_fit.machine import forward, load_machine
+from stickslip_fit.laws import constant_law
+from stickslip_fit.machine import forward
 from stickslip_fit.moves import (
     TrueLaws,
     draw_random_paths,
@@ -23,14 +21,8 @@ from stickslip_fit.strategies import (
     steps_from_predictor,
 )
 from stickslip_fit.strategies.evaluation import make_cases
-from tests.conftest import Truth as ByHand
+from tests.moves.test_open_loop import HAND, LAWS, MACHINE, VALUES
 
-MACHINE = load_machine()
-LAWS = {1: Base(MACHINE), 2: Elbow(MACHINE), 3: Prismatic()}
-HAND = ByHand()
-UNITS = {1: [1e-6, 1e-3, 1e-6, 1e-3], 2: [1e-6] * 4, 3: [1e-9, 1.0, 1e-9]}
-PARTS = {1: HAND.base, 2: HAND.elbow, 3: HAND.prismatic}
-VALUES = {(joint, way): np.array(PARTS[joint][way]) * UNITS[joint] for joint in LAWS for way in "+-"}
 OWN = {1: np.ones(4), 2: np.ones(4), 3: np.array([1.0, 0.0, 1.0])}  # powers of a step's length
 # Steps a thousand times shorter: nothing is left of their being whole.
 FINE = {group: own * 1e-3 ** OWN[group[0]] for group, own in VALUES.items()}

@@ -1,7 +1,5 @@
 """How sure predictions are where the causes' sizes are themselves uncertain."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small studies on plans that take no file of the project."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """All campaigns at once or task by task: the same numbers; any strategy can take part."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

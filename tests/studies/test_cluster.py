@@ -1,7 +1,5 @@
 """On a real Dask cluster whose workers are processes of their own, and die."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

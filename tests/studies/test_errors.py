@@ -1,7 +1,5 @@
 """What a study finds, against linear theory and closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

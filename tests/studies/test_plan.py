@@ -1,7 +1,5 @@
 """A study plan from its file: every fault at once, each with what to do."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

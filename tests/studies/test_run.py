@@ -1,7 +1,5 @@
 """The same numbers on every backend, and after an interruption; nothing is worked on twice."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
 

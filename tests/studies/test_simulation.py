@@ -1,7 +1,5 @@
 """Campaigns simulated side by side are those that one after the other would have been."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

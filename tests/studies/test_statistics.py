@@ -1,7 +1,5 @@
 """Intervals over campaigns hold what they should as often as they say."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """What a study says, draws and saves; the verb from end to end."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -99,7 +97,7 @@ def test_without_moves_there_is_nothing_of_the_tip(study):
         plain.plot_tips()
 
 
-def test_the_verb_runs_keeps_and_carries_on(run, tmp_path):
+def test_the_verb_runs_keeps_and_carries_on(run, refused, tmp_path):
     head = HEAD.format(sessions=1, check_every=5, repeatability_pct=0.3)
     (tmp_path / "plan.toml").write_text(head + JOINT_3 + ROTARY)
     (tmp_path / "law.toml").write_text(law_file(0.0))
@@ -114,6 +112,6 @@ def test_the_verb_runs_keeps_and_carries_on(run, tmp_path):
     assert len(chunks) == 2
     assert run("study", tmp_path / "study.toml", "-o", tmp_path / "out", "--workers", 1) == (0, told, "")
     assert chunks == {path: path.stat().st_mtime_ns for path in chunks}
-    status, _, said = run("study", tmp_path / "study.toml", "--workers", 1, "--cluster", "tcp://x:1")
-    assert status == 2
-    assert "--cluster and --workers exclude each other" in said
+    assert "--cluster and --workers exclude each other" in refused(
+        "study", tmp_path / "study.toml", "--workers", 1, "--cluster", "tcp://x:1"
+    )

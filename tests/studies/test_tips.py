@@ -1,7 +1,5 @@
 """Open-loop moves of a study: as good as the steps are known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A motor's friction bench, simulated by plain numpy: what a table's diagnosis has to get right."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

@@ -1,7 +1,5 @@
 """One diagnosis of the bench for all tests that only look at it."""
 
-from __future__ import annotations
-
 import pytest
 
 import stickslip_fit as ssf

@@ -1,7 +1,5 @@
 """Sampled motions of a stage under friction, with noise and effects of known strength; scipy alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 from scipy.linalg import cholesky, solve_triangular, toeplitz

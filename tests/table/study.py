@@ -1,7 +1,5 @@
 """Error rates of diagnose_table, those in `benchmarks/README.md`: ``python -m tests.table.study --help``."""
 
-from __future__ import annotations
-
 import argparse
 
 from tests.table.test_search import count_alarms, name_rates

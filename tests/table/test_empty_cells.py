@@ -1,7 +1,5 @@
 """Empty cells: which rows and columns are left out, and that the answer says so."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tables in files as spreadsheets, loggers and instruments write them."""
 
-from __future__ import annotations
-
 import pandas as pd
 import pytest
 
@@ -110,7 +108,6 @@ def test_a_comma_that_may_be_either_mark_is_no_number(tmp_path):
 
 
 def test_a_workbook_gives_the_same_table(tmp_path):
-    pytest.importorskip("openpyxl")
     path = tmp_path / "bench.xlsx"
     TABLE.to_excel(path, index=False)
     pd.testing.assert_frame_equal(read_table(path)[0], TABLE)
@@ -136,7 +133,6 @@ def test_of_a_workbook_whose_sheet_is_no_table_the_other_sheets_are_named(tmp_pa
 
 
 def test_a_workbook_may_have_a_title_and_units(tmp_path):
-    pytest.importorskip("openpyxl")
     path = tmp_path / "bench.xlsx"
     rows = [["Rig 3", None], [None, None], ["t", "force"], ["s", "mN"], *NUMBERS.to_numpy().tolist()]
     pd.DataFrame(rows).to_excel(path, index=False, header=False)

@@ -1,7 +1,5 @@
 """A table's law fitted: the estimates and standard errors of others, predictions, and what is saved."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -95,12 +93,7 @@ def test_predictions_are_those_of_others_in_whatever_order_and_cover_new_values(
     predicted = fit.predict(new.drop(columns="F"))
     expected = by_others.get_prediction(design(new, extended=False)).summary_frame()
     assert list(predicted.index) == list(new.index)
-    names = {
-        "predicted": "mean",
-        "standard_error": "mean_se",
-        "low": "obs_ci_lower",
-        "high": "obs_ci_upper",
-    }
+    names = {"predicted": "mean", "standard_error": "mean_se", "low": "obs_ci_lower", "high": "obs_ci_upper"}
     for name, other in names.items():
         assert predicted[name].to_numpy() == pytest.approx(expected[other].to_numpy(), rel=1e-6), name
     assert 0.9 < np.mean((predicted["low"] < new["F"]) & (new["F"] < predicted["high"])) < 0.99

@@ -1,7 +1,5 @@
 """The gain of a table's diagnosis, against cross-validation written by hand with plain numpy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,12 +1,11 @@
 """The generic causes: each adds what it says, has exact derivatives, and is there where its columns are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit.causes import TableRoles, generic_causes, prepare_rows
+from tests.differences import numeric_slopes
 from tests.table.signals import LAW, ROLES, signal
 
 ALWAYS = {"outliers"}
@@ -70,15 +69,9 @@ def test_a_law_with_a_cause_has_exact_derivatives_and_none_without_effect(name):
         atol=1e-12,
     )
     slopes = extended.jacobian(rows, np.hstack([own, np.tile(trial, (len(rows), 1))]))[:, p:]
-    for k, (parameter, scale) in enumerate(zip(version.parameters, version.scale, strict=True)):
-        if not parameter.sudden:
-            step = 1e-6 * scale * np.eye(len(trial))[k]
-            np.testing.assert_allclose(
-                slopes[:, k],
-                (predict(trial + step) - predict(trial - step)) / (2 * step[k]),
-                rtol=1e-5,
-                atol=1e-8,
-            )
+    steady = [not parameter.sudden for parameter in version.parameters]
+    numeric = numeric_slopes(predict, trial, 1e-6 * np.array(version.scale))
+    np.testing.assert_allclose(slopes[:, steady], numeric[:, steady], rtol=1e-5, atol=1e-8)
 
 
 def test_an_effect_by_direction_has_the_opposite_sign_in_either():

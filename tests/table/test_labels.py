@@ -1,7 +1,5 @@
 """Columns of many labels, and of integers that may be labels: beside statsmodels' mixed models."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Columns of texts: offsets and parameters by level, beside statsmodels' analysis of covariance and scipy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,6 +9,7 @@ from scipy.optimize import curve_fit
 import stickslip_fit as ssf
 from stickslip_fit.causes import TableRoles, generic_causes, prepare_rows
 from stickslip_fit.units import Interval
+from tests.differences import numeric_slopes
 
 LINE = "y ~ a + b*x"
 
@@ -142,15 +141,8 @@ def test_derivatives_are_those_of_differences(version):
     bound, trials = cause.trials(rows)[version]
     values = np.r_[[1.5, 0.8], trials.sum(axis=0)]
     extended = bound.extend(law)
-
-    def predict(values):
-        return extended.predict(rows, np.tile(values, (len(rows), 1)))
-
-    slopes = extended.jacobian(rows, np.tile(values, (len(rows), 1)))
-    for k in range(len(values)):
-        step = 1e-6 * np.eye(len(values))[k]
-        numeric = (predict(values + step) - predict(values - step)) / 2e-6
-        np.testing.assert_allclose(slopes[:, k], numeric, rtol=1e-5, atol=1e-7)
+    numeric = numeric_slopes(lambda values: extended.predict(rows, values), values)
+    np.testing.assert_allclose(extended.jacobian(rows, values), numeric, rtol=1e-5, atol=1e-7)
 
 
 def test_texts_that_do_nothing_are_not_named():

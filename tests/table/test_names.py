@@ -1,7 +1,5 @@
 """Names of a formula that are almost columns, or columns that look like parameters."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

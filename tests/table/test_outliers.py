@@ -1,7 +1,5 @@
 """Outlying values of a table: whose p-value counts, what the others leave, and how rare such a value is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """What a table has to be like: every fault in one message, with its column and row."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """What is named in tables: false alarms, power beside a test that knows the noise, and outliers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import binom

@@ -1,7 +1,5 @@
 """Sizes in what people read of a table's diagnosis: of what is withdrawn, and of what is barely there."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What a law lacks is told from noise that persists, under laws that lack nearly all of the response."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

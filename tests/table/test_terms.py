@@ -1,19 +1,13 @@
 """What a table's law lacks without having a name: short terms, smooth functions, strict periods."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.signal import lfilter
 
 import stickslip_fit as ssf
-from stickslip_fit.causes.table_terms import (
-    PREDICTION,
-    PeriodicTableTerm,
-    ProposedTableTerm,
-    SmoothTableTerm,
-)
+from stickslip_fit.causes.table_terms import PREDICTION, PeriodicTableTerm, ProposedTableTerm, SmoothTableTerm
+from tests.differences import numeric_slopes
 
 
 def bent(seed, bend, n=120, sd=0.5):
@@ -126,16 +120,8 @@ def test_derivatives_are_those_of_differences(term):
     law = ssf.Law("y ~ a + b*x + c*z").bind_table(frame)
     extended = term.extend(law)
     values = np.r_[1.0, 0.7, -0.4, np.linspace(0.3, -0.2, len(term.parameters))]
-
-    def predict(values):
-        return extended.predict(rows, np.tile(values, (len(rows), 1)))
-
-    slopes = extended.jacobian(rows, np.tile(values, (len(rows), 1)))
-    for k in range(len(values)):
-        step = 1e-6 * np.eye(len(values))[k]
-        np.testing.assert_allclose(
-            slopes[:, k], (predict(values + step) - predict(values - step)) / 2e-6, rtol=1e-5, atol=1e-7
-        )
+    numeric = numeric_slopes(lambda values: extended.predict(rows, values), values)
+    np.testing.assert_allclose(extended.jacobian(rows, values), numeric, rtol=1e-5, atol=1e-7)
     trial = np.eye(len(term.parameters))[:1]
     own = np.tile(values[:3], (len(rows), 1))
     alone = np.hstack([own, np.tile(trial, (len(rows), 1))])

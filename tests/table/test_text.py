@@ -1,7 +1,5 @@
 """What people read of a table's diagnosis: its unit, rows and values, never steps or per cent of them."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

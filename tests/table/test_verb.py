@@ -1,7 +1,5 @@
 """stickslip-fit diagnose-table: what it prints and writes, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 
 import pandas as pd

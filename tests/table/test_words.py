@@ -1,7 +1,5 @@
 """Words of a table's diagnosis: columns by their names, times by their size, and what it cannot tell."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

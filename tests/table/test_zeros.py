@@ -1,7 +1,5 @@
 """A wrong zero of the response or of a column: named with its size, no candidate where the law has it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """The numbers that the thesis prints and what follows from them, and the thesis's text by place."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from functools import cache

@@ -5,8 +5,6 @@ the readings scattered. Readings with that scatter are a reconstruction; nobody 
 question made of them says so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

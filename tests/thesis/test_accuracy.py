@@ -1,7 +1,5 @@
 """What the thesis claims of accuracy, times and counts, against the parameters that it prints."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

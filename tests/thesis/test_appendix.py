@@ -1,7 +1,5 @@
 """The appendix, Eqs. 5.3 to 6.10 and joint 1 by interchange, beside the machine's own mechanics."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

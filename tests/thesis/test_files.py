@@ -1,24 +1,12 @@
 """The data files about the thesis: their shape, their places, and the digits in the thesis itself."""
 
-from __future__ import annotations
-
 import re
 import sys
 from importlib import import_module
 
 import pytest
 
-from tests.thesis.published import (
-    DERIVED,
-    PRINTED,
-    ROOT,
-    TEXT,
-    places,
-    plain,
-    printed_forms,
-    read,
-    text_at,
-)
+from tests.thesis.published import DERIVED, PRINTED, ROOT, TEXT, places, plain, printed_forms, read, text_at
 
 PLACES = places()
 needs_text = pytest.mark.skipif(not TEXT.exists(), reason="the thesis's text is not part of the project")

@@ -1,7 +1,5 @@
 """How the thesis gets d from a change of joint 2's mean step: Eq. 6.6 and the algorithm before it."""
 
-from __future__ import annotations
-
 from math import pi, sin
 
 import numpy as np

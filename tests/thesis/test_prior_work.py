@@ -1,7 +1,5 @@
 """Chapters 1 and 2: the maker's numbers beside the thesis's own, and what it prints of others' models."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

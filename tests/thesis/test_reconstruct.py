@@ -1,7 +1,5 @@
 """Readings matched to p-values and means give these back, and say what they imply."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

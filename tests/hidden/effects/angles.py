@@ -1,7 +1,5 @@
 """Where things stand other than the law has them: mounting, zeros, gravity's lever, compliance."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

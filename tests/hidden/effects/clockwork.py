@@ -1,7 +1,5 @@
 """What changes as time passes and steps are driven."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.hidden.campaign import Campaign

@@ -1,7 +1,5 @@
 """What the law gets wrong about load."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

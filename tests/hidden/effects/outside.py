@@ -1,7 +1,5 @@
 """What no cause describes: periodic disturbances, harmonics, curvature within sessions, memory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What no cause describes, in what came before a traverse, and in what is each session's own."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.hidden.campaign import Campaign

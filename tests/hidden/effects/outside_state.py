@@ -1,7 +1,5 @@
 """What no cause describes, in where a traverse is and what is read there: angles, products, directions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What single parts of the machine do: arm, cable, bearing and guide."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What acts through a column that the lab wrote down."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

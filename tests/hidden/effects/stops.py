@@ -1,7 +1,5 @@
 """What the end stop does to a count, whatever the step size."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.hidden.campaign import Campaign
