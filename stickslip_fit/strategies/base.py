@@ -7,6 +7,7 @@ predictor of log(steps) with its standard deviation. `solve_law` fits a law with
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -346,12 +347,12 @@ class CalibrationPlan:
         return self.finish(solve_together(self.fits))
 
 
-class PlannedStrategy:
+class PlannedStrategy(ABC):
     """A strategy that calibrates by least squares, whose fits can be solved together with those of others."""
 
+    @abstractmethod
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
-        """The plan of `calibrate`, which may raise NotApplicable: fit the law, unless overridden."""
-        return plan_law(task.law, task, measured)
+        """The plan of `calibrate`, which may raise NotApplicable."""
 
     def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
         """See `Strategy.calibrate`."""

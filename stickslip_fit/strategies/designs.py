@@ -117,6 +117,10 @@ class ClosedForm(PlannedStrategy):
         """See `Strategy.choose`."""
         return pick_calibration_traverses(task, task.law)
 
+    def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+        """See `PlannedStrategy.plan`."""
+        return plan_law(task.law, task, measured)
+
 
 @dataclass(frozen=True)
 class ConstantStepStrategy(PlannedStrategy):

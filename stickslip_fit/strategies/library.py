@@ -37,6 +37,7 @@ from stickslip_fit.strategies.base import (
     join_family,
     other_sessions,
     plan_calibration,
+    plan_law,
     repeat_numbers,
     response_sd,
 )
@@ -66,6 +67,10 @@ class LeastSquares(PlannedStrategy):
     def choose(self, task: CalibrationTask) -> IntArray:
         """See `Strategy.choose`."""
         return self.design.pick(task, len(task.law.parameters) + self.more)
+
+    def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
+        """See `PlannedStrategy.plan`."""
+        return plan_law(task.law, task, measured)
 
 
 @dataclass(frozen=True, eq=False)

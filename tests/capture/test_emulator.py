@@ -121,6 +121,7 @@ def test_a_joint_at_its_stop_stays_there_while_the_steps_go_on(tmp_path):
     controller.step(3, 500)
     assert rig.manipulator.position(3) == MACHINE.ranges[3][1]
     assert rig.manipulator.total_steps(3) == 20_500
+    assert rig.emulated_controller.step_counts["C"] == 20_500
     controller.step(3, -1000)
     assert rig.manipulator.position(3) == pytest.approx(0.012 - 1000 * 903e-8, rel=1e-9)
 
@@ -171,7 +172,7 @@ def test_time_passes_as_the_steps_do(dialect, on_the_way, tmp_path):
     assert rig.clock.now() == pytest.approx(0.020 + on_the_way)
     controller.step(3, -250)
     assert rig.clock.now() == pytest.approx(1.020 + 6 * on_the_way)
-    assert rig.manipulator.total_steps(3) == 255
+    assert rig.emulated_controller.step_counts["C"] == -245
     assert "emulated" in controller.version()
 
 
@@ -182,9 +183,11 @@ def test_a_move_stopped_half_way_has_made_half_its_steps(tmp_path):
     assert rig.emulated_controller.send() == b""
     rig.emulated_controller.receive(b"stop\r")
     assert rig.emulated_controller.send() == b"e\tstopped\ro\tstop\r"
-    assert rig.manipulator.total_steps(3) == 500
+    assert rig.emulated_controller.step_counts["C"] == rig.manipulator.total_steps(3) == 500
     rig.emulated_controller.receive(b"stopnack\r")
     assert rig.emulated_controller.send() == b""
+    rig.emulated_controller.receive(b"coarse C ?\rcoarsereset C\rcoarse ?\r")
+    assert rig.emulated_controller.send() == b"o\t500\ro\tcoarsereset\ro\t0 0 0 0\r"
 
 
 def test_a_stop_right_behind_a_move_stops_it(tmp_path):
@@ -202,7 +205,7 @@ def test_commands_wait_for_each_other_and_may_come_in_pieces(tmp_path):
     assert rig.emulated_controller.send() == b"o\tcoarse\r"
     rig.clock.sleep(0.5)
     assert rig.emulated_controller.send() == b"o\tcoarse\r"
-    assert [rig.manipulator.total_steps(joint) for joint in (1, 2, 3)] == [0, 100, 100]
+    assert rig.emulated_controller.step_counts == {"A": 0, "B": -100, "C": 100, "D": 0}
 
 
 @pytest.mark.parametrize("command", ["coarse E 5", "coarse C 70000", "coarse C five", "fly"])

@@ -1,4 +1,4 @@
-"""A rig driven over its port and heard by its sound, in real time, until it is unplugged."""
+"""A rig in a process of its own, driven over its port and heard by its sound, until it is unplugged."""
 
 import math
 from contextlib import contextmanager
@@ -11,7 +11,7 @@ from stickslip_fit.capture.devices import open_controller
 from stickslip_fit.capture.emulator.acoustics import Acoustics
 from stickslip_fit.capture.emulator.campaign import tune_emulated
 from stickslip_fit.capture.emulator.manipulator import HiddenLaws
-from stickslip_fit.capture.emulator.rig import emulate_rig
+from stickslip_fit.capture.emulator.rig import emulate_rig, start_emulator
 from stickslip_fit.capture.end_stop import SequentialDetector
 from stickslip_fit.capture.operator import OperatorReply
 from stickslip_fit.capture.protocols import ConnectionLost, RealClock
@@ -37,7 +37,7 @@ ranges_mm = [[0, 0.4]]
 """
 
 
-class AtRig(Player):
+class AtProcess(Player):
     """Sets the rig as asked, and pulls its plug once so many steps of a traverse were made."""
 
     def __init__(self, rig, pull_at=math.inf):
@@ -61,11 +61,10 @@ class AtRig(Player):
 
 @contextmanager
 def rig_at_work():
-    """A rig in real time, and its controller."""
+    """A rig in a process of its own, and its controller."""
     pytest.importorskip("pty", reason="this system has no pseudo-terminals")
-    from tests.capture.served import serve
-
-    with serve(LAW, period=PERIOD_MS / 1000, snr_db=20.0) as rig:
+    options = ("--step-period-ms", str(PERIOD_MS), "--snr-db", "20", "--repeatability-pct", "0")
+    with start_emulator(LAW, *options) as rig:
         controller = open_controller(rig.port, "new", pytest.fail, PERIOD_MS / 1000)
         yield rig, controller
         controller.close()
@@ -73,7 +72,7 @@ def rig_at_work():
 
 def capture(folder, journal, replay, rig, controller, tuning, pull_at=math.inf):
     """Capture the plan at a rig, which is unplugged at `pull_at`."""
-    ear, operator = SequentialDetector(rig, tuning), AtRig(rig, pull_at)
+    ear, operator = SequentialDetector(rig, tuning), AtProcess(rig, pull_at)
     where = (plan_of(folder, PLAN), MACHINE, folder / "log.csv", journal, replay)
     with journal:
         return Campaign(*where, Rig(controller, ear, RealClock()), operator).run()
@@ -118,7 +117,7 @@ def test_the_detector_is_tuned_with_a_person_who_hears_the_stop():
     emulator = emulate_rig(HiddenLaws(read_law_values(LAW, MACHINE), MACHINE))
     controller, source = emulator.controller(pytest.fail), emulator.microphone(Acoustics(9.0))
     keys = ListeningOperator(emulator.manipulator)
-    tuning = tune_by_hand(controller, source, emulator.clock, 3, 5, keys, AtRig(emulator.manipulator))
+    tuning = tune_by_hand(controller, source, emulator.clock, 3, 5, keys, AtProcess(emulator.manipulator))
     assert tuning.separates
     assert abs(tuning.frequency - Acoustics().peak) < 1000
 
@@ -129,4 +128,4 @@ def test_a_stop_that_nobody_hears_ends_the_tuning(monkeypatch):
     keys = ListeningOperator(emulator.manipulator)
     monkeypatch.setattr(keys, "pressed", lambda: False)
     with pytest.raises(InputError, match="nobody said that the joint has met its stop"):
-        tune_by_hand(controller, source, emulator.clock, 3, 5, keys, AtRig(emulator.manipulator))
+        tune_by_hand(controller, source, emulator.clock, 3, 5, keys, AtProcess(emulator.manipulator))

@@ -203,7 +203,8 @@ for name in ("termios", "tty", "pty", "fcntl"):
     sys.modules[name] = None
 import stickslip_fit.capture as capture
 for module in walk_packages(capture.__path__, "stickslip_fit.capture."):
-    import_module(module.name)
+    if not module.name.endswith("__main__"):
+        import_module(module.name)
 """
     subprocess.run([sys.executable, "-c", code], check=True)
 

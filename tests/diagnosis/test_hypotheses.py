@@ -5,13 +5,13 @@ import numpy as np
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.extension import compute_evidence, extend_problem, make_selected
 from stickslip_fit.diagnosis.problem import problem_from_log
-from tests.hidden.gain_study import read
 from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
 
 
 def test_functions_of_each_session_explain_no_more_than_there_is():
     """Also beside a cause that the sessions share, and its other forms."""
-    log = read(hide("thesis", ("inertia-quadratic",), 12.0, seed=1))
+    log = read_hidden(hide("thesis", ("inertia-quadratic",), 12.0, seed=1))
     problem, _ = problem_from_log(log, None, None)
     misfit = compute_evidence(problem.linearize(), problem)
     cause = make_selected(misfit, form_cause_set(misfit, "inertia-quadratic"))

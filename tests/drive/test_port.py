@@ -1,4 +1,4 @@
-"""A drive over a port, by the real clock: an emulated controller and its plug."""
+"""A drive over a port, by the real clock: an emulated controller in a process of its own, and its plug."""
 
 import re
 import threading
@@ -8,15 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stickslip_fit.capture.emulator.rig import start_emulator
 from stickslip_fit.drive.record import resume_record
 from stickslip_fit.drive.session import DriveJob, drive_real
 from stickslip_fit.moves.arm import Z_95
 
 pytest.importorskip("serial", reason="pyserial is not installed")
 pytest.importorskip("pty", reason="this system has no pseudo-terminals")
-
-from tests.capture.served import serve
-
 LAW = Path("data/reference/law.toml")
 START = np.array([0.0, -1.2, 0.004])
 
@@ -43,9 +41,9 @@ def job_of(arm, folder, seconds):
 
 @pytest.fixture
 def emulator():
-    with serve(LAW) as rig:
-        rig.set(q1=START[0], q2=START[1], q3=START[2])
-        yield rig
+    with start_emulator(LAW, "--repeatability-pct", "0") as process:
+        process.set(q1=START[0], q2=START[1], q3=START[2])
+        yield process
 
 
 @pytest.mark.nightly

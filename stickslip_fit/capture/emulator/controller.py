@@ -35,6 +35,7 @@ class EmulatedController(ABC):
         self.manipulator = manipulator
         self.clock = clock
         self.period = period
+        self.step_counts = dict.fromkeys("ABCD", 0)
         self._move: RunningMove | None = None
         self._made = 0  # steps of the move in progress
         self._free_at = clock.now()
@@ -82,6 +83,15 @@ class EmulatedController(ABC):
     def _begin(self, channel: str, steps: int) -> None:
         """Begin a move."""
         self._move, self._made = RunningMove("ABC".find(channel) + 1, steps, self._free_at), 0
+        self.step_counts[channel] += steps
+
+    def _halt(self) -> bool:
+        """Stop the move in progress; whether there was one."""
+        move, self._move = self._move, None
+        if move is not None:
+            channel, sign = "DABC"[move.joint], 1 if move.steps > 0 else -1
+            self.step_counts[channel] -= sign * (abs(move.steps) - self._made)
+        return move is not None
 
     def _make_due(self) -> None:
         move = self._move
@@ -114,18 +124,19 @@ class EmulatedController(ABC):
 NEW_VERSION = "NC4 01.70-180807 (emulated)"
 MIN_STEPS, MAX_STEPS = -65_536, 65_535
 NEW_MOVE_PATTERN = re.compile(r"coarse ([A-D]) ([+-]?\d+)")
+COUNT_PATTERN = re.compile(r"coarse(?: ([A-D]))? \?")
+RESET_PATTERN = re.compile(r"coarsereset(?: ([A-D]))?")
 
 
 class NewDialect(EmulatedController):
-    """Understands ``coarse``, ``version``, ``stop`` and ``stopnack``; refuses the rest."""
+    """Understands ``coarse``, ``coarsereset``, ``version``, ``stop``, ``stopnack``; refuses the rest."""
 
     terminator = "\r"
 
     def _execute_at_once(self, command: str) -> bool:
         if command not in ("stop", "stopnack"):
             return False
-        if self._move is not None:
-            self._move = None
+        if self._halt():
             self._answer("e", "stopped")
         if command == "stop":
             self._answer("o", "stop")
@@ -138,6 +149,12 @@ class NewDialect(EmulatedController):
                 self._begin(move[1], steps)
             else:
                 self._answer("e", f"{steps} is out of range")
+        elif count := COUNT_PATTERN.fullmatch(command):
+            counts = (str(self.step_counts[channel]) for channel in count[1] or "ABCD")
+            self._answer("o", " ".join(counts))
+        elif reset := RESET_PATTERN.fullmatch(command):
+            self.step_counts |= dict.fromkeys(reset[1] or "ABCD", 0)
+            self._answer("o", "coarsereset")
         elif command == "version":
             self._answer("o", NEW_VERSION)
         elif command:

@@ -6,17 +6,15 @@ import time
 import pytest
 
 from stickslip_fit.capture.devices import open_controller
+from stickslip_fit.capture.emulator.rig import start_emulator
 from stickslip_fit.capture.protocols import ConnectionLost, ControllerError
 from stickslip_fit.errors import InputError
 from tests.capture.truths import LAWS
 
 pytest.importorskip("serial", reason="pyserial is not installed")
 pytest.importorskip("pty", reason="this system has no pseudo-terminals")
-
-from tests.capture.served import serve
-
 STEP = 976e-8  # m
-PERIOD = 0.001  # s
+FAST = ("--step-period-ms", "1", "--repeatability-pct", "0")
 
 
 @pytest.fixture(scope="module")
@@ -28,22 +26,22 @@ def law(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def rig(law):
-    with serve(law, period=PERIOD) as rig:
+    with start_emulator(law, *FAST) as rig:
         yield rig
 
 
 @pytest.fixture
 def controller(rig):
     rig.set(q3=0.0)
-    controller = open_controller(rig.port, "new", pytest.fail, PERIOD)
+    controller = open_controller(rig.port, "new", pytest.fail, step_period=0.001)
     yield controller
     controller.close()
 
 
 @pytest.mark.parametrize("dialect", ["new", "old"])
 def test_a_rig_is_driven_until_its_cable_is_pulled(dialect, law):
-    with serve(law, dialect, PERIOD) as rig:
-        controller = open_controller(rig.port, dialect, pytest.fail, PERIOD)
+    with start_emulator(law, *FAST, "--dialect", dialect) as rig:
+        controller = open_controller(rig.port, dialect, pytest.fail, step_period=0.001)
         assert "emulated" in controller.version()
         began = time.monotonic()
         controller.step(3, 100)
@@ -65,6 +63,17 @@ def test_hands_put_stops_and_a_microphone_hears(rig, controller):
     assert rig.position(3) == pytest.approx(110 * STEP)
     rig.set_stops(3, 0.0, 0.012)
     assert rig.read(0.05).values.shape == (2400,)
+
+
+@pytest.mark.parametrize("order", [lambda rig: rig.set(q3=1.0), lambda rig: rig.set(zeta=1.0)])
+def test_hands_are_told_what_they_cannot_do(order, rig):
+    with pytest.raises(InputError, match=r"beyond joint 3's stops|'zeta' cannot be set"):
+        order(rig)
+
+
+def test_a_faulty_law_file_is_told(tmp_path):
+    with pytest.raises(InputError, match=r"missing\.toml"), start_emulator(tmp_path / "missing.toml"):
+        pass
 
 
 def test_a_move_is_stopped_from_another_thread(controller):
