@@ -76,4 +76,5 @@ def test_a_log_without_noise_is_met(tmp_path):
     values = np.array([950e-9, 0.3, 0.2])
     rows = rows[rows["direction"] == "+"]
     exact = rows.assign(steps=np.exp(law.predict(rows, values)) + rows["check_every"] / 2)
-    assert pool_sessions(law, exact).to_numpy() == pytest.approx(np.tile(values, (exact["session"].nunique(), 1)))
+    every = np.tile(values, (exact["session"].nunique(), 1))
+    assert pool_sessions(law, exact).to_numpy() == pytest.approx(every)
