@@ -2,10 +2,10 @@
 
 Each law is fitted to all other configurations and predicts the one left out. Where there are several
 sessions, each is drawn to their mean by as much as they differ (`bayes.pooling`), since the configurations
-of one leave much of its parameters open; spread and repeatability are those of all configurations. Lambda
-of the physical law is chosen anew each time where configurations are few. Configurations, not traverses,
-are resampled for the intervals, for what a law gets wrong in one it gets wrong in every replicate (B. Efron
-and R. Tibshirani, An Introduction to the Bootstrap, Chapman & Hall, 1993).
+of one leave much of its parameters open. Lambda of the physical law is chosen anew each time where
+configurations are few. Configurations, not traverses, are resampled for the intervals, for what a law gets
+wrong in one it gets wrong in every replicate (B. Efron and R. Tibshirani, An Introduction to the Bootstrap,
+Chapman & Hall, 1993).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.bayes.pooling import Pooling
+from stickslip_fit.bayes.pooling import pool_sessions
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
 from stickslip_fit.estimation.drive_ratio import RatioProfile, likeliest_law, profile_ratio
@@ -89,7 +89,6 @@ def compare_held_out(
     published = published_law(joint, rows, machine)
     configuration = number_configurations(rows, published.features(rows))
     candidates = _candidates(profiles)
-    pools = [_pool(law, rows) for law in (published, likeliest_law(joint, rows, machine, profiles))]
     errors = np.full((2, len(rows)), np.nan)
     number = int(configuration.max()) + 1
     part_of = np.random.default_rng(0).permutation(number) % MAX_PARTS
@@ -103,18 +102,13 @@ def compare_held_out(
             found = profile_ratio(joint, training, machine, candidates, 0)
         physical = likeliest_law(joint, rows, machine, found)
         for k, law in enumerate((published, physical)):
-            errors[k, out] = predict_held_out(law, training, test, pools[k])
+            errors[k, out] = predict_held_out(law, training, test)
     usable = np.all(np.isfinite(errors), axis=0)
     return _summarize(errors[:, usable], configuration[usable])
 
 
-def predict_held_out(
-    law: StepLaw, training: pd.DataFrame, test: pd.DataFrame, pools: Mapping[str, Pooling]
-) -> Array:
-    """Errors of log(steps), shape (n,); NaN where the training cannot predict.
-
-    Sessions of a direction that has an entry in `pools` are drawn together.
-    """
+def predict_held_out(law: StepLaw, training: pd.DataFrame, test: pd.DataFrame) -> Array:
+    """Errors of log(steps), shape (n,); NaN where the training cannot predict."""
     problem = single_problem(law, training, DEFAULT_OPTIONS)
     minimum = problem.minimize(np.ones(len(training)), problem.start)
     _, rank, covariance = identifiable_parameters(minimum.curvature, problem.scales)
@@ -122,31 +116,20 @@ def predict_held_out(
     index = {key: k for k, key in enumerate(zip(table["session"], table["direction"], strict=True))}
     keys = zip(test["session"].astype(object), test["direction"].astype(object), strict=True)
     group = np.array([index.get(key, -1) for key in keys])
-    response, slopes = law.model(test)(_draw_together(minimum.values, table, law, training, pools)[group])
+    response, slopes = law.model(test)(_draw_together(minimum.values, table, law, training)[group])
     spread = np.einsum("ni,nij,nj->n", slopes, covariance[group], slopes)
     known = (group >= 0) & (rank[group] == len(law.parameters)) & (spread < MAX_SPREAD)
     return np.where(known, law.response(test)[0] - response, np.nan)
 
 
-def _pool(law: StepLaw, rows: pd.DataFrame) -> dict[str, Pooling]:
-    """By direction, of those that have several sessions and do not stall at the law's start values."""
-    pools = {}
+def _draw_together(values: Array, table: pd.DataFrame, law: StepLaw, rows: pd.DataFrame) -> Array:
+    """Parameters of each session and direction of a table, those of several sessions drawn together."""
+    values = values.copy()
     for direction, own in rows.groupby("direction", observed=True):
         if own["session"].nunique() > 1:
+            place = (table["direction"] == direction).to_numpy()
             with suppress(InputError):
-                pools[str(direction)] = Pooling.estimate(law, own)
-    return pools
-
-
-def _draw_together(
-    values: Array, table: pd.DataFrame, law: StepLaw, rows: pd.DataFrame, pools: Mapping[str, Pooling]
-) -> Array:
-    """Parameters of each session and direction of a table, those of pooled directions drawn together."""
-    values = values.copy()
-    for direction, pool in pools.items():
-        if (own := (table["direction"] == direction).to_numpy()).any():
-            pooled = pool.fit(law, rows[rows["direction"] == direction])
-            values[own] = pooled.loc[table["session"][own]]
+                values[place] = pool_sessions(law, own).loc[table["session"][place]]
     return values
 
 

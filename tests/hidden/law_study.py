@@ -66,12 +66,29 @@ def published(seed: int) -> Found:
 
 def errors(seed: int) -> Found:
     """Held-out errors over the noise of friction-limited logs."""
-    hidden = drive_stage(DESIGNS[seed % 3], Stage("friction", Bristles() if seed % 2 else None), seed=seed)
+    design = DESIGNS[seed % 3]
+    hidden = drive_stage(design, Stage("friction", Bristles() if seed % 2 else None), seed=seed)
     found: Found = {}
     for one in compare_laws(read_hidden(hidden)).joints:
         noise = np.sqrt(np.mean(hidden.campaign.repeatability[hidden.campaign.plan.joint == one.joint] ** 2))
-        found[f"joint {one.joint}: physical over noise"] = [one.errors.physical.rms / noise]
+        for where in ("", f", {design}"):
+            found[f"joint {one.joint}{where}: physical over noise"] = [one.errors.physical.rms / noise]
         found[f"joint {one.joint}: published over noise"] = [one.errors.published.rms / noise]
+    return found
+
+
+def folds(seed: int) -> Found:
+    """Held-out errors over the noise by the folds and new sessions of a diagnosis, nothing being changed."""
+    hidden = drive_stage(DESIGNS[seed % 3], Stage("friction", Bristles() if seed % 2 else None), seed=seed)
+    log = read(hidden)
+    diagnosis = ssf.diagnose(log, laws={joint: ssf.physical_law for joint in log.joints})
+    found: Found = {"anything is named": [bool(diagnosis.findings)]}
+    for where, gain in (("fold", diagnosis.gain), ("new session", diagnosis.gain_new_session)):
+        for _, one in gain.by_joint.groupby("joint") if gain else ():
+            mean = np.average(one["baseline"] ** 2, weights=one["traverses"])
+            joint = one["joint"].iloc[0]
+            noise = np.mean(hidden.campaign.repeatability[hidden.campaign.plan.joint == joint] ** 2)
+            found[f"joint {joint}: {where} over noise"] = [np.sqrt(mean / noise)]
     return found
 
 
@@ -86,7 +103,7 @@ def baseline(seed: int) -> Found:
 
 
 STUDIES: dict[str, Callable[[int], Found]] = {
-    one.__name__: one for one in (shares, published, errors, baseline)
+    one.__name__: one for one in (shares, published, errors, folds, baseline)
 }
 
 

@@ -47,14 +47,15 @@ class Stage:
 
     def draw(self, joint: int, session: Ints, forward: Ints, rng: np.random.Generator) -> dict[str, Array]:
         """The drive of each traverse: one for each direction, a little different from day to day."""
-        usual = {way: self._usual(joint, way, rng) for way in (1, -1)}
+        usual = {way: self.usual(joint, way, rng) for way in (1, -1)}
         days = 1 + self.day_to_day * rng.standard_normal((2, 2, int(session.max()) + 1))
         values = {name: np.where(forward > 0, usual[1][name], usual[-1][name]) for name in usual[1]}
         for name, (back, out) in zip(("friction", "throw"), days, strict=True):
             values[name] = values[name] * np.where(forward > 0, out[session], back[session])
         return values
 
-    def _usual(self, joint: int, way: int, rng: np.random.Generator) -> dict[str, float]:
+    def usual(self, joint: int, way: int, rng: np.random.Generator) -> dict[str, float]:
+        """The drive of a joint and direction, before it differs from day to day."""
         size = {3: rng.normal(976 if way > 0 else 903, 30) * 1e-9}.get(joint, rng.uniform(80, 110) * 1e-6)
         share, ratio = rng.uniform(0.18, 0.26), rng.uniform(*RATIOS[self.regime])
         # A rotary joint's ramp is as long as the guide's; its friction follows from the size of its steps.
