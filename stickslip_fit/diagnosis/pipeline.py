@@ -18,7 +18,7 @@
    `withdrawal`: a cause that does not predict better is not named.
 10. `candidate_traverses`, `experiments`: the traverses that separate what the log cannot.
 11. `stage_change`: which change of friction, mass, voltage or ramp time the findings stand for
-    (`stage_fingerprint`).
+    (`stage_fingerprint`). After 7 it chooses the laws anew where the log itself chooses them.
 
 `result` holds the `Diagnosis`; `separability` asks the same of a plan before any data; `residuals`
 prepares the figures.

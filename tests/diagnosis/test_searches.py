@@ -12,6 +12,7 @@ from stickslip_fit.diagnosis.combinations import find_needless
 from stickslip_fit.diagnosis.extension import compute_evidence, extend_problem, make_selected
 from stickslip_fit.diagnosis.noise import Outliers
 from stickslip_fit.diagnosis.problem import problem_from_log
+from stickslip_fit.diagnosis.selection import select_causes, widen_selection
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
 
@@ -56,3 +57,25 @@ def test_a_cause_without_which_the_law_is_as_likely_is_needless():
     assert [one.cause for one in others] == ["drift"]
     assert len(fit.values) == 1
     assert len(find_needless(problem, selected, whole, most=1e6)) == len(selected)
+
+
+def test_a_search_is_repeated_for_causes_that_it_could_find_and_no_others():
+    """Wear does much of what a hidden drift does; of a side load the last test has what a search says."""
+    log = read_hidden(hide("session", ("drift",), 30.0, seed=301))
+    names = ("drift", "q2-offset", "side-load", "wear")
+    candidates = [cause for cause in library() if cause.name in names]
+    problem, _ = problem_from_log(log, candidates)
+    causes = {cause.name: cause for cause in problem.causes}
+
+    def search(*chosen):
+        some = replace(problem, causes=tuple(causes[name] for name in chosen))
+        return select_causes(some, 0.01, 1000, np.random.default_rng(0))
+
+    few, all_but_one = search("drift", "q2-offset"), search("drift", "q2-offset", "side-load")
+    assert [one.cause for one in few.law_causes] == ["drift"]
+    assert widen_selection(few, problem.causes, 0.01) is None
+    wider = widen_selection(few, all_but_one.problem.causes, 0.01)
+    assert wider.problem.causes == all_but_one.problem.causes
+    expected = all_but_one.last_misfit.log_evidence_by_cause
+    assert wider.last_misfit.log_evidence_by_cause == pytest.approx(expected, rel=1e-6)
+    assert wider.p_value == few.p_value

@@ -80,7 +80,7 @@ def errors(seed: int) -> Found:
 def folds(seed: int) -> Found:
     """Held-out errors over the noise by the folds and new sessions of a diagnosis, nothing being changed."""
     hidden = drive_stage(DESIGNS[seed % 3], Stage("friction", Bristles() if seed % 2 else None), seed=seed)
-    log = read(hidden)
+    log = read_hidden(hidden)
     diagnosis = ssf.diagnose(log, laws={joint: ssf.physical_law for joint in log.joints})
     found: Found = {"anything is named": [bool(diagnosis.findings)]}
     for where, gain in (("fold", diagnosis.gain), ("new session", diagnosis.gain_new_session)):
