@@ -1,4 +1,4 @@
-"""Hypotheses as subspaces."""
+"""Hypotheses as subspaces, beside a cause in the laws."""
 
 import numpy as np
 
@@ -9,16 +9,25 @@ from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
 
 
+def extend(hidden, name):
+    """The problem with one of its causes in the laws, and what that leaves."""
+    problem, _ = problem_from_log(read_hidden(hidden), None, None)
+    misfit = compute_evidence(problem.linearize(), problem)
+    extended, _, linearized = extend_problem(problem, [make_selected(misfit, form_cause_set(misfit, name))])
+    return extended, linearized
+
+
 def test_functions_of_each_session_explain_no_more_than_there_is():
     """Also beside a cause that the sessions share, and its other forms."""
-    log = read_hidden(hide("thesis", ("inertia-quadratic",), 12.0, seed=1))
-    problem, _ = problem_from_log(log, None, None)
-    misfit = compute_evidence(problem.linearize(), problem)
-    cause = make_selected(misfit, form_cause_set(misfit, "inertia-quadratic"))
-    extended, _, linearized = extend_problem(problem, [cause])
+    extended, linearized = extend(hide("thesis", ("inertia-quadratic",), 12.0, seed=1), "inertia-quadratic")
     functions = [one for one in extended.alternatives(linearized) if one.cause == "unknown:time"]
     assert functions
     for one in functions:
         residual = linearized.project(one.directions)
         explained = np.array([np.sum(one.coefficients(column) ** 2) for column in residual.T])
         assert np.all(explained <= np.sum(residual**2, axis=0) * (1 + 1e-9))
+
+
+def test_a_jump_in_one_session_is_no_uneven_noise():
+    extended, _ = extend(hide("many", ("psi-offset", "session-jump"), 14.0, "t5", seed=15), "psi-offset")
+    assert extended.uneven == ()

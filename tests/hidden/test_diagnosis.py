@@ -117,15 +117,9 @@ def test_two_causes_are_both_found(design, causes, strength):
     assert set(found.found) == set(causes)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
-    ("cause", "seed"),
-    [
-        ("psi-offset", 15),
-        *(
-            pytest.param(cause, seed, marks=pytest.mark.nightly)
-            for cause, seed in (("q2-offset", 7), ("theta-offset", 8), ("theta-offset", 11))
-        ),
-    ],
+    ("cause", "seed"), [("psi-offset", 15), ("q2-offset", 7), ("theta-offset", 8), ("theta-offset", 11)]
 )
 def test_a_jump_in_one_session_is_no_uneven_noise_beside_another_cause(cause, seed):
     hidden = hide("many", (cause, "session-jump"), 14.0, NOISES[seed % 2], seed=seed)
@@ -142,9 +136,8 @@ def test_a_cause_is_found_that_structure_beside_it_would_take_up():
         assert one.effect.low < true["effect_rms_pct"] / 100 < one.effect.high
 
 
-@pytest.mark.parametrize(
-    ("noise", "seed"), [("gaussian", 54019), pytest.param("gaussian", 54010, marks=pytest.mark.nightly)]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize(("noise", "seed"), [("gaussian", 54019), ("gaussian", 54010)])
 def test_structure_without_a_name_gives_way_to_causes_that_show_beside_one_another(noise, seed):
     """First of all a difference for each configuration is likelier than either of the two."""
     case = Case("pair", "thesis", noise, 25.0, seed)
