@@ -424,7 +424,12 @@ class AR1:
             where = slice(None) if some is sums else counts
             (refit,) = self.sequences.refit([self.coefficient])
             left = share[where] - refit.explained(some) / some.squares
-            log[where] = price - 0.5 * refit.log_determinant - 0.5 * df * np.log(left)
+            # A refit whose equations are nearly singular may explain more than there is: no evidence.
+            log[where] = np.where(
+                left > LEAST_SHARE,
+                price - 0.5 * refit.log_determinant - 0.5 * df * np.log(np.maximum(left, LEAST_SHARE)),
+                -np.inf,
+            )
         return np.asarray(log)
 
     def needs_refit(self, sums: LagSums, df: int) -> bool:

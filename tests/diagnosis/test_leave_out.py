@@ -198,20 +198,26 @@ def test_looks_that_are_not_clear_are_left_to_the_whole_selection(problem):
     assert prepare_looks(replace(selection, selected=(close,)), ALPHA) is not None
 
 
+def compare_with_repetition(log, causes=None):
+    """A selection, its findings, and errors of a fold: confirmed by linear algebra, and searched again."""
+    problem, _ = problem_from_log(log, causes)
+    selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
+    findings = size_findings(selection, selection.problem, ALPHA)
+    looks, split = prepare_looks(selection, ALPHA), hold_out_configurations(selection)[0]
+    repeated = compute_held_out_errors(
+        selection.problem, split, findings, partial(select_in_fold, alpha=ALPHA), (0, 0)
+    )
+    return selection, findings, confirm_held_out_errors(looks, split, findings), repeated
+
+
+@pytest.mark.nightly
 def test_a_law_for_unknown_structure_is_searched_anew_beside_a_cause():
     """As in the search repeated, within a few hundredths of the noise."""
     hidden = ("session-jump", "unknown:harmonic")
     forms = {"session-jump": "table", "unknown:harmonic": "cos 3 q2"}
     log = read_hidden(hide("session", hidden, (25, 25), seed=4, forms=forms))
-    problem, _ = problem_from_log(log)
-    selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
-    findings = size_findings(selection, selection.problem, ALPHA)
+    _, findings, confirmed, repeated = compare_with_repetition(log)
     assert [one.cause for one in findings] == ["session-jump", UNKNOWN]
-    looks, split = prepare_looks(selection, ALPHA), hold_out_configurations(selection)[0]
-    confirmed = confirm_held_out_errors(looks, split, findings)
-    repeated = compute_held_out_errors(
-        selection.problem, split, findings, partial(select_in_fold, alpha=ALPHA), (0, 0)
-    )
     before, *_, after = np.sqrt(np.mean(repeated**2, axis=1))
     assert after < 0.8 * before
     assert np.sqrt(np.mean((confirmed[-1] - repeated[-1]) ** 2)) < 0.1 * after
@@ -222,15 +228,8 @@ def test_a_law_for_unknown_structure_before_a_cause_is_searched_anew():
     hidden, forms = ("unknown:harmonic", "drift"), {"unknown:harmonic": "cos 3 q2"}
     log = read_hidden(hide("session", hidden, (40, 14), seed=4, forms=forms))
     causes = [cause for cause in library() if cause.name in FEW]
-    problem, _ = problem_from_log(log, causes)
-    selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
-    findings = size_findings(selection, selection.problem, ALPHA)
+    selection, findings, confirmed, repeated = compare_with_repetition(log, causes)
     assert [one.cause for one in selection.selected] == [UNKNOWN, "drift"]
-    looks, split = prepare_looks(selection, ALPHA), hold_out_configurations(selection)[0]
-    confirmed = confirm_held_out_errors(looks, split, findings)
-    repeated = compute_held_out_errors(
-        selection.problem, split, findings, partial(select_in_fold, alpha=ALPHA), (0, 0)
-    )
     before, *_, after = np.sqrt(np.mean(repeated**2, axis=1))
     assert after < 0.3 * before
     assert np.sqrt(np.mean((confirmed[-1] - repeated[-1]) ** 2)) < 0.1 * after
@@ -238,6 +237,7 @@ def test_a_law_for_unknown_structure_before_a_cause_is_searched_anew():
     rivals = {**unknown.naming.log_evidence_by_cause, "cable-torque": 1e3}
     hidden = replace(unknown, naming=replace(unknown.naming, log_evidence_by_cause=rivals))
     unclear = replace(selection, selected=(hidden, drift))
+    split = hold_out_configurations(selection)[0]
     assert confirm_held_out_errors(prepare_looks(unclear, ALPHA), split, findings) is None
 
 
