@@ -17,7 +17,13 @@ def hide_both(strengths):
     return hide("session", (WARM_UP, HIDDEN), strengths, seed=0, forms=forms)
 
 
-@pytest.fixture(scope="module", params=[(12.0, 25.0), (25.0, 12.0)], ids=["structure first", "cause first"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param((12.0, 25.0), id="structure first"),
+        pytest.param((25.0, 12.0), id="cause first", marks=pytest.mark.nightly),
+    ],
+)
 def both(request):
     """What is hidden, and what the diagnosis finds."""
     hidden = hide_both(request.param)

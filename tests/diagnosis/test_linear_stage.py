@@ -8,6 +8,8 @@ from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
 
+pytestmark = pytest.mark.nightly  # four causes beside each other take long to decide
+
 MACHINE = '[[joint]]\nkind = "prismatic"\nrange_mm = [0.0, 20.0]\n'
 N, SESSIONS, NOISE = 240, 4, 0.006
 MINUTES = 1.5  # from one traverse to the next

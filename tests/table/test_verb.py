@@ -59,6 +59,7 @@ def test_text_json_page_and_law(desk):
     assert parameter["estimate"] == pytest.approx(fit.parameters["estimate"].iloc[-1], rel=1e-3)
 
 
+@pytest.mark.nightly
 def test_a_formula_is_a_law(desk):
     pd.read_csv("bench.csv").head(30).to_csv("short.csv", index=False)
     done = run("short.csv", "--law", "F ~ Fv*vel + offset", "--time", "t")
