@@ -19,11 +19,11 @@ from scipy.special import chdtrc, gammaln
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import CarryOverTerm
-from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
+from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms, expect_noise
 from stickslip_fit.diagnosis.hypotheses import compute_changes
 from stickslip_fit.diagnosis.linearized import LinearizedFit, RowSubset, linearize_fit
 from stickslip_fit.diagnosis.memory import AR1
-from stickslip_fit.diagnosis.misfit import UNKNOWN, StructureRemoved, detection_length
+from stickslip_fit.diagnosis.misfit import UNKNOWN, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, compute_cause_jacobian
 from stickslip_fit.units import Z_95, Interval
@@ -194,17 +194,6 @@ def _covariance(selection: Selection, slopes: Array, inverse: Array) -> Array:
         elif isinstance(one.version, CarryOverTerm):  # beside which the noise is that of the innovations
             slopes = memory.correlate(slopes) / np.sqrt(1.0 - memory.coefficient**2)
     return np.asarray(inverse @ (slopes.T @ slopes + np.diag(1.0 / selection.fit.prior_sd**2)) @ inverse)
-
-
-def expect_noise(
-    problem: DiagnosisProblem, linearized: LinearizedFit, left: StructureRemoved | None = None
-) -> DiagnosisProblem:
-    """The problem with the expected variances of its noise.
-
-    `linearized` are its residuals, and `left` those without structure, if any is in them.
-    """
-    left = StructureRemoved(linearized.residual, np.zeros(len(problem))) if left is None else left
-    return problem.with_noise(problem.estimate_noise(linearized, left).expected())
 
 
 def linearize_unweighted(selection: Selection) -> LinearizedFit:

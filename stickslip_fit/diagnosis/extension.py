@@ -199,6 +199,17 @@ def explain_unevenness(
     return noise
 
 
+def expect_noise(
+    problem: DiagnosisProblem, linearized: LinearizedFit, left: StructureRemoved | None = None
+) -> DiagnosisProblem:
+    """The problem with the expected variances of its noise.
+
+    `linearized` are its residuals, and `left` those without structure, if any is in them.
+    """
+    left = StructureRemoved(linearized.residual, np.zeros(len(problem))) if left is None else left
+    return problem.with_noise(problem.estimate_noise(linearized, left).expected())
+
+
 def _fit_with_departures(
     problem: DiagnosisProblem, versions: Sequence[Any], start: Array
 ) -> tuple[DiagnosisProblem, ExtendedFit]:

@@ -40,6 +40,7 @@ from stickslip_fit.diagnosis.extension import (
     assess_residuals,
     compute_evidence,
     compute_finer_effects,
+    expect_noise,
     explain_unevenness,
     extend_problem,
     law_causes,
@@ -344,10 +345,9 @@ def explain_outliers(selection: Selection, problem: DiagnosisProblem, outliers: 
     if not selection.law_causes or not len(outliers):
         return outliers[:0]
     departure = predict_departures(selection, problem, outliers)
-    left = StructureRemoved(selection.linearized.residual, np.zeros(len(selection.problem)))
     # Of a joint and direction with few rows the repeatability may be far too small.
-    expected = selection.problem.estimate_noise(selection.linearized, left).expected()
-    noise = expected.sd[problem.noise_group[outliers]]
+    expected = expect_noise(selection.problem, selection.linearized)
+    noise = expected.repeatability[problem.noise_group[outliers]]
     free = 1.0 - np.minimum(problem.linearize().leverage[outliers], MAX_LEVERAGE)
     sd = np.sqrt((noise**2 + problem.rounding[outliers]) / free)  # of predictions by the other rows
     return outliers[(departure != 0) & (np.abs(departure) < OUTLYING_SD * sd)]

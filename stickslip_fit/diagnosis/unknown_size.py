@@ -24,11 +24,10 @@ from stickslip_fit.diagnosis.effect_interval import (
     LawEffect,
     detection_threshold,
     estimate_effect,
-    expect_noise,
     linearize_unweighted,
     strength_interval,
 )
-from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
+from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength, expect_noise
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, joints_of_laws
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.lack_of_fit import LackOfFit
