@@ -23,14 +23,23 @@ from stickslip_fit.diagnosis.extension import (
     SelectedCause,
     absorb_unknown,
     compute_evidence,
+    estimate_strength,
     extend_problem,
     fit_causes,
     make_selected,
     name_explained,
 )
-from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis, compute_effects
+from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis, compute_effects, make_hypothesis
+from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
-from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, batch_hypotheses, classify_cause, weigh_hypotheses
+from stickslip_fit.diagnosis.misfit import (
+    UNKNOWN,
+    Misfit,
+    average_by_cause,
+    batch_hypotheses,
+    classify_cause,
+    weigh_hypotheses,
+)
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
 
@@ -39,6 +48,7 @@ from stickslip_fit.diagnosis.proposed_term import propose_term
 PAIR_MIN_LOG_BAYES_FACTOR, PAIR_LOG_PENALTY, MAX_PAIR_TRIALS = 3.0, 3.0, 3
 # Nats of a cause that is refitted before one is named, and the share of the largest evidence that it has.
 MIN_REFIT_LOG_BAYES_FACTOR, MIN_REFIT_SHARE = 10.0, 0.3
+MAX_LIKELY_SHAPES = 6  # of unknown structure, beside which causes are looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,32 +117,98 @@ def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], 
 
 
 def find_beside_unknown(
-    problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit, level: float
+    problem: DiagnosisProblem,
+    searched: LinearizedFit,
+    unknown: SelectedCause,
+    selected: Sequence[SelectedCause],
+    level: float,
 ) -> PairSearch:
-    """A cause that with structure without a name beside it is likelier than such structure alone, if any.
+    """A cause that with `unknown` structure beside it is likelier than such structure alone, if any.
 
-    Structure without a name takes up a cause that acts like it in part, and both would have one size. The
-    margin is as of `find_exchange`.
+    Structure without a name takes up a cause that acts like it in part, and both would have one size; and
+    where it is much larger than the noise, nothing shows beside it until it is in the law. The margin is as
+    of `find_exchange`.
     """
+    misfit = unknown.misfit
+    assert misfit is not None
+    evidence = misfit.log_evidence_by_cause
+    has_shape = any(
+        isinstance(one, Hypothesis) for one in misfit.hypotheses if classify_cause(one) == UNKNOWN
+    )
+    if problem.autocorrelation is not None or len(evidence) < 2 or not has_shape:
+        return PairSearch(None)
+    df = problem.linearize().df
+    before, (after, tests) = _evidence_before_unknown(misfit, df), _test_beside_unknown(misfit, df)
+    together = {**after.log_evidence_by_cause, UNKNOWN: evidence[UNKNOWN]}
+    together |= {cause: max(value, together[cause]) for cause, value in before.items()}
+    best = max(evidence.keys() - {UNKNOWN}, key=lambda cause: together[cause])
+    shows_alone = before.get(best, -np.inf) == together[best]
+    shown, beside = (misfit, misfit) if shows_alone else (after, tests[0])
+    to_beat = evidence[UNKNOWN] + float(np.log(len(evidence) / level))
+    behind = to_beat - together[best]
+    if behind > 0 or assess_support(searched, beside, best).too_narrow:
+        return PairSearch(None, max(behind, 0.0))
+    test = replace(shown, log_evidence_by_cause=together)
+    one = make_selected(test, form_cause_set(test, best))
+    if shows_alone:
+        _, _, left = _next_cause(extend_problem(problem, [*selected, one]), [*selected, one])
+        behind = to_beat - evidence[best] - left
+    return PairSearch(Combination(one, (UNKNOWN,)) if behind < 0 else None, behind)
+
+
+def _evidence_before_unknown(misfit: Misfit, df: int) -> dict[str, float]:
+    """Of causes that show alone, with any unknown structure in what each leaves, over noise alone."""
     evidence = misfit.log_evidence_by_cause
     causes = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] > PAIR_MIN_LOG_BAYES_FACTOR]
-    if problem.autocorrelation is not None or not causes:
-        return PairSearch(None)
+    if not causes:
+        return {}
     shapes = [one for one in misfit.hypotheses if classify_cause(one) == UNKNOWN]
     left = np.stack([_without(misfit, cause) for cause in causes], axis=1)
     if misfit.basis is not None:  # directions of one session need not be orthogonal to shared parameters
         left -= misfit.basis @ (misfit.basis.T @ left)
     weight = weigh_hypotheses(shapes, [UNKNOWN] * len(shapes))
-    beside = batch_hypotheses(shapes, problem.linearize().df).log_mean_evidence(left, weight)
-    together = {cause: evidence[cause] + float(more) for cause, more in zip(causes, beside, strict=True)}
-    to_beat = evidence[UNKNOWN] + float(np.log(len(evidence) / level))
-    test = replace(misfit, log_evidence_by_cause={**evidence, **together})
-    one = make_selected(test, form_cause_set(test, max(causes, key=lambda cause: together[cause])))
-    behind = to_beat - together[one.cause]
-    if behind < 0:
-        _, _, unknown = _next_cause(extend_problem(problem, [*selected, one]), [*selected, one])
-        behind = to_beat - evidence[one.cause] - unknown
-    return PairSearch(Combination(one, (UNKNOWN,)) if behind < 0 else None, behind)
+    beside = batch_hypotheses(shapes, df).log_mean_evidence(left, weight)
+    return {cause: evidence[cause] + float(more) for cause, more in zip(causes, beside, strict=True)}
+
+
+def _test_beside_unknown(misfit: Misfit, df: int) -> tuple[Misfit, list[Misfit]]:
+    """The test with the evidence of each cause beside unknown structure; and tests of what each shape leaves.
+
+    Under the covariance that a likely shape of such structure gives the residuals, effects lose what it may
+    have taken up (C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for Machine Learning, 2006, sect.
+    2.7).
+    """
+    causes = [classify_cause(one) for one in misfit.hypotheses]
+    weight = weigh_hypotheses(misfit.hypotheses, causes)
+    is_unknown = np.array([cause == UNKNOWN for cause in causes])
+    evidence = np.where(is_unknown, misfit.log_evidence, -np.inf)
+    known = {
+        k: one for k, one in enumerate(misfit.hypotheses) if isinstance(one, Hypothesis) and not is_unknown[k]
+    }
+    effects = [one.directions * np.sqrt(one.prior_share) for one in known.values()]
+    shapes = {
+        k: one for k, one in enumerate(misfit.hypotheses) if isinstance(one, Hypothesis) and is_unknown[k]
+    }
+    likeliest = sorted(shapes, key=lambda k: -(misfit.log_evidence[k] + weight[k]))[:MAX_LIKELY_SHAPES]
+    tests = []
+    for place in likeliest:
+        shape, directions = shapes[place], shapes[place].directions
+        signal = estimate_strength(shape, misfit.residual) ** 2 * shape.prior_share
+        lost = directions * (1.0 - 1.0 / np.sqrt(1.0 + signal))
+        residual = misfit.residual - lost @ (directions.T @ misfit.residual)
+        shown = {}
+        for (k, one), own in zip(known.items(), effects, strict=True):
+            if left := make_hypothesis(one.cause, one.version, one.values, own - lost @ (directions.T @ own)):
+                shown[k] = left
+        own_evidence = batch_hypotheses([*shown.values()], df).log_evidence(residual[:, None])[:, 0]
+        added = np.zeros(len(evidence))  # of effects that the structure takes up as a whole
+        added[[*shown]] = own_evidence
+        total = misfit.log_evidence[place] + weight[place] + added
+        evidence[~is_unknown] = np.logaddexp(evidence, total)[~is_unknown]
+        hypotheses = tuple(shown.values())
+        tests.append(replace(misfit, residual=residual, hypotheses=hypotheses, log_evidence=own_evidence))
+    by_cause = average_by_cause(causes, weight, evidence)
+    return replace(misfit, log_evidence=evidence, log_evidence_by_cause=by_cause), tests
 
 
 def _next_cause(

@@ -33,7 +33,9 @@ MAX_CONDITIONAL_STRENGTH = 12.0  # beyond, the alarm was certain and conditionin
 DIFFERENCE_STEP = 1e-3  # of a parameter's scale
 MIN_EXCESS_SD = 2.0  # standard deviations of a chi-square of noise, for effects in alternative forms
 FORM_RANK_TOL, RANK_TOL = 0.05, 1e-10
+EFFECT_RANK_TOL = 1e-4  # of directions of the parameters along which an effect hardly changes
 MIN_LENGTH = 1e-12
+UNIFORM_PRECISION = 12.0  # inverse variance of a uniform distribution of width 1
 N_MIXTURE_TERMS = 100  # of a noncentral chi-square, beyond twice the largest one
 
 
@@ -144,13 +146,14 @@ def _refit(selection: Selection) -> _Refit:
     """
     fit, problem = selection.fit, expect_noise(selection.problem, selection.linearized)
     prior, chosen = 1.0 / fit.prior_sd**2, problem.with_laws_as_chosen
-    linearized, slopes, inverse = _linearize_causes(chosen, selection)
+    linearized, slopes, inverse = _linearize_causes(chosen, selection, EFFECT_RANK_TOL)
     values = fit.values + inverse @ (slopes.T @ linearized.residual - prior * fit.values)
     if problem.uncertain:
-        _, slopes, inverse = _linearize_causes(problem, selection)
-    parameters = [parameter for one in selection.law_causes for parameter in one.version.parameters]
-    lower, upper = (np.array([getattr(one, end) for one in parameters]) for end in ("lower", "upper"))
-    return _Refit(np.clip(values, lower, upper), _covariance(selection, slopes, inverse))
+        _, slopes, inverse = _linearize_causes(problem, selection, EFFECT_RANK_TOL)
+    lower, upper = _bounds(selection)
+    if np.any((values < lower) | (values > upper)):  # so far from the fit, its slopes say nothing
+        values = fit.values
+    return _Refit(values, _covariance(selection, slopes, inverse))
 
 
 def expected_covariance(selection: Selection) -> Array:
@@ -163,12 +166,14 @@ def expected_covariance(selection: Selection) -> Array:
     if not selection.law_causes:
         return np.zeros((0, 0))
     problem = selection.problem
-    _, slopes, inverse = _linearize_causes(problem, selection)
+    _, slopes, inverse = _linearize_causes(problem, selection, RANK_TOL)
     times = expect_noise(problem, selection.linearized).scale / problem.scale
     return _covariance(selection, slopes * times[:, None], inverse)
 
 
-def _linearize_causes(problem: DiagnosisProblem, selection: Selection) -> tuple[LinearizedFit, Array, Array]:
+def _linearize_causes(
+    problem: DiagnosisProblem, selection: Selection, rank_tol: float
+) -> tuple[LinearizedFit, Array, Array]:
     """The laws with causes, calibration projected out, the causes' slopes and inverse information.
 
     Slopes are whitened, (n, q); the information, (q, q), is that of the rows and the parameters' priors.
@@ -176,10 +181,10 @@ def _linearize_causes(problem: DiagnosisProblem, selection: Selection) -> tuple[
     fit = selection.fit
     linearized = problem.linearize_extended(replace(fit, at_bound=np.ones_like(fit.at_bound)))
     slopes = linearized.project(linearized.whiten(compute_cause_jacobian(selection)))
-    prior = 1.0 / fit.prior_sd**2
+    prior = _prior_information(selection)
     size = np.sqrt(np.maximum(np.sum(slopes**2, axis=0) + prior, MIN_LENGTH))
     information = (slopes.T @ slopes + np.diag(prior)) / np.outer(size, size)
-    inverse = np.linalg.pinv(information, rcond=RANK_TOL, hermitian=True)
+    inverse = np.linalg.pinv(information, rcond=rank_tol, hermitian=True)
     return linearized, slopes, inverse / np.outer(size, size)
 
 
@@ -193,7 +198,19 @@ def _covariance(selection: Selection, slopes: Array, inverse: Array) -> Array:
             slopes = memory.correlate(slopes)
         elif isinstance(one.version, CarryOverTerm):  # beside which the noise is that of the innovations
             slopes = memory.correlate(slopes) / np.sqrt(1.0 - memory.coefficient**2)
-    return np.asarray(inverse @ (slopes.T @ slopes + np.diag(1.0 / selection.fit.prior_sd**2)) @ inverse)
+    return np.asarray(inverse @ (slopes.T @ slopes + np.diag(_prior_information(selection))) @ inverse)
+
+
+def _prior_information(selection: Selection) -> Array:
+    """What is known of each parameter beforehand, (q,): its prior, and that it is between its bounds."""
+    lower, upper = _bounds(selection)
+    return np.asarray(1.0 / selection.fit.prior_sd**2 + UNIFORM_PRECISION / (upper - lower) ** 2)
+
+
+def _bounds(selection: Selection) -> tuple[Array, Array]:
+    """Lower and upper bounds of the parameters of all causes in the law, each shape (q,)."""
+    parameters = [parameter for one in selection.law_causes for parameter in one.version.parameters]
+    return np.array([one.lower for one in parameters]), np.array([one.upper for one in parameters])
 
 
 def linearize_unweighted(selection: Selection) -> LinearizedFit:

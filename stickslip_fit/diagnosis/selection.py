@@ -44,6 +44,7 @@ from stickslip_fit.diagnosis.extension import (
     explain_unevenness,
     extend_problem,
     law_causes,
+    linearize_with_causes,
     make_selected,
     name_explained,
 )
@@ -55,7 +56,7 @@ from stickslip_fit.diagnosis.hypotheses import (
 from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, remove_structure
-from stickslip_fit.diagnosis.noise import explains_more, find_outliers, find_runs
+from stickslip_fit.diagnosis.noise import NoiseEstimate, explains_more, find_outliers, find_runs
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
 from stickslip_fit.estimation.result import OUTLYING_SD
@@ -66,6 +67,8 @@ MAX_OWN_PARAMETERS, ROWS_PER_PARAMETER = 24, 6
 # Bootstrap samples above the statistic, after which a test ends: where a diagnosis's p-value is below its
 # share of the rate, at most 22 lie above, so that no decision depends on the rest.
 MAX_EXCEEDANCES = 50
+MAX_NOISE_LEFT = 0.8  # of the noise, without structure, for which tests are made anew
+MAX_MEAN_LEVERAGE = 0.5  # of the structure, with which that noise is estimated
 MIN_EVIDENCE_SHARE = 0.5  # of a cause's evidence, without which another cannot take its place
 NO_ROWS: IntArray = np.zeros(0, dtype=np.intp)
 
@@ -196,16 +199,11 @@ def _select(
         searched, names = absorb_unknown(extension, selected), name_explained(selected)
         return assess_residuals(searched, extension[0], n_bootstrap, rng, names, MAX_EXCEEDANCES)
 
-    def give_way(
-        chosen: Sequence[SelectedCause], searched: LinearizedFit, misfit: Misfit
-    ) -> list[SelectedCause]:
+    def give_way(chosen: Sequence[SelectedCause], searched: LinearizedFit) -> list[SelectedCause]:
         """A cause in the place of unknown structure that would end the search, if likelier beside such."""
         *others, unknown = chosen
-        beside = find_beside_unknown(problem, others, misfit, level)
-        if (
-            beside.found is not None
-            and not assess_support(searched, misfit, beside.found.first.cause).too_narrow
-        ):
+        beside = find_beside_unknown(problem, searched, unknown, others, level)
+        if beside.found is not None:
             return [*others, beside.found.first]
         return [*others, replace(unknown, ahead_of_pairs=min(unknown.ahead_of_pairs, beside.behind))]
 
@@ -233,7 +231,7 @@ def _select(
             chosen = propose_term(searched, chosen, problem.expressions, rng)
             version = chosen[-1].version
             if version is None or isinstance(version, CarryOverTerm) or _is_large(version, len(problem)):
-                chosen = give_way(chosen, searched, last)
+                chosen = give_way(chosen, searched)
             if chosen[-1].version is None:
                 selected = chosen
                 break
@@ -252,9 +250,11 @@ def _select(
         if ends and not selected:  # nothing follows, and nothing else could be needless
             selected, (problem, fit, linearized) = chosen, extension
             break
-        before, last = last, assess(extension, chosen)
+        last = assess(extension, chosen)
+        if last.p_value < level and not ends and (quieter := _quieten(extension, chosen, last)):
+            extension, last = quieter, assess(quieter, chosen)
         if chosen[-1].cause == UNKNOWN and not ends and last.p_value >= level:
-            chosen = give_way(chosen, searched, before)
+            chosen = give_way(chosen, searched)
             if chosen[-1].cause != UNKNOWN:
                 extension = extend_problem(problem, chosen)
                 last = assess(extension, chosen)
@@ -397,11 +397,7 @@ def _reestimate_noise(
             # A row at a sudden change would be an outlier by the nearest candidate moment.
             effects += finer
             misfit = add_candidates(misfit.hypotheses, linearized, finer)
-        left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
-        if explains_more(linearized, left.log_evidence):
-            left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
-        noise = problem.estimate_noise(linearized, left)
-        noise = explain_unevenness(problem, linearized, misfit, left, noise)
+        noise, left = _estimate_noise_left(problem, linearized, misfit)
         problem = problem.with_noise(noise)
         if np.all(noise.unevenness.ratio == 1.0):
             break
@@ -411,6 +407,37 @@ def _reestimate_noise(
     if problem.skewness is not None:
         residual = problem.skewness.symmetrize(residual)
     return problem, problem.linearize(), residual
+
+
+def _estimate_noise_left(
+    problem: DiagnosisProblem, linearized: LinearizedFit, misfit: Misfit
+) -> tuple[NoiseEstimate, StructureRemoved]:
+    """The noise without the likeliest structure of a test, and what that leaves."""
+    left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
+    if explains_more(linearized, left.log_evidence):
+        left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
+    noise = problem.estimate_noise(linearized, left)
+    return explain_unevenness(problem, linearized, misfit, left, noise), left
+
+
+def _quieten(extension: Extension, selected: Sequence[SelectedCause], misfit: Misfit) -> Extension | None:
+    """An extension with the noise that its residuals have without structure, if that is much smaller.
+
+    In larger noise the law for that structure would be too smooth.
+    """
+    problem, fit, _ = extension
+    noise, left = _estimate_noise_left(problem, absorb_unknown(extension, selected), misfit)
+    # Which rows are noisy, residuals tell that structure followed as far as it could: no new weights.
+    quieter = replace(problem, repeatability=noise.sd)
+    is_same = _rms(quieter.scale) > MAX_NOISE_LEFT * _rms(problem.scale)
+    # Of rows that the structure follows one by one, what is left tells nothing of the noise.
+    if problem.autocorrelation is not None or is_same or np.mean(left.leverage) > MAX_MEAN_LEVERAGE:
+        return None
+    return quieter, fit, linearize_with_causes(quieter, fit, law_causes(selected))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def predict_departures(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> Array:

@@ -28,7 +28,7 @@ from stickslip_fit.causes.proposed import (
     carrier_values,
 )
 from stickslip_fit.causes.smooth import cosine_sequence, cosines, prior_sds
-from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis
+from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, MAX_COUPLED_SESSIONS, Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.laws import state_at
 from stickslip_fit.logs.history import FURTHER_HISTORY
@@ -390,8 +390,28 @@ class _Builder:
         known = [part for part in parts if part is not None]
         if not known:
             return None
+        if self.shared_basis.shape[1] and 1 < len(version.sessions) <= MAX_COUPLED_SESSIONS:
+            return self.couple(f"unknown:{name}", version, known, sign)
         variance = np.concatenate([part.variance for part in known])
         blocks = tuple((part.rows, part.directions) for part in known)
         length, share = float(np.sqrt(variance.sum())), variance / variance.sum()
         n = len(self.linearized)
         return Hypothesis(f"unknown:{name}", version, None, n, blocks, share, length, sign=sign)
+
+    def couple(
+        self, name: str, version: SmoothTerm, parts: Sequence[_Subspace], sign: Array | None
+    ) -> Hypothesis | None:
+        """As `make`, with what all sessions share projected out of all parts together.
+
+        Part by part, what one loses to a shared parameter would count in the others.
+        """
+        columns = np.zeros((len(self.linearized), sum(len(part.variance) for part in parts)))
+        first = 0
+        for part in parts:
+            last = first + len(part.variance)
+            columns[part.rows, first:last] = part.directions * np.sqrt(part.variance)
+            first = last
+        columns = columns if sign is None else columns * sign[:, None]
+        return make_hypothesis(
+            name, version, None, columns - self.shared_basis @ (self.shared_basis.T @ columns)
+        )

@@ -1,0 +1,51 @@
+"""A cause beside structure without a name that is much larger than the noise.
+
+As of real motors: each session and direction has a profile of its own along the travel, here drawn by this
+file's own code, and every traverse its own ends.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip_fit.diagnosis import Diagnosis, diagnose
+from stickslip_fit.logs import read_log
+from stickslip_fit.machine import load_machine
+
+MACHINE = """
+name = "rotary stage"
+[[joint]]
+kind = "rotary"
+name = "turn"
+range_deg = [0, 360]
+"""
+SESSIONS, TRAVERSES, NOISE, N_WAVES = 3, 24, 0.05, 4
+
+
+def profile(rng: np.random.Generator) -> np.ndarray:
+    """Step size in degrees, at every degree."""
+    phase = np.arange(360)[:, None] * np.pi / 180 * np.arange(1, N_WAVES + 1)
+    size = rng.standard_normal((2, N_WAVES)) * 0.2 / np.arange(1, N_WAVES + 1)
+    return 0.05 * np.exp(np.cos(phase) @ size[0] + np.sin(phase) @ size[1])
+
+
+def make_log(folder: Path, seed: int, effect: float) -> Diagnosis:
+    """Diagnose a log in which the supply voltage changes steps by `effect` (rms)."""
+    rng, rows = np.random.default_rng(seed), []
+    for session in range(SESSIONS):
+        for direction in "+-":
+            steps = np.r_[0.0, np.cumsum(1.0 / profile(rng))]
+            for _ in range(TRAVERSES):
+                length = rng.uniform(10, 40)
+                low = rng.uniform(0, 360 - length)
+                high, volts = low + length, rng.standard_normal()
+                count = np.diff(np.interp([low, high], np.arange(361), steps))[0]
+                count *= np.exp(NOISE * rng.standard_normal() - effect * volts)
+                ends = (low, high) if direction == "+" else (high, low)
+                rows.append((f"day {session}", 1, direction, round(count), 1, *ends, 60 + volts))
+    names = "session joint direction steps check_every from_deg to_deg supply_V".split()
+    pd.DataFrame(rows, columns=names).round(3).to_csv(folder / "log.csv", index=False)
+    (folder / "stage.toml").write_text(MACHINE, encoding="utf-8")
+    return diagnose(read_log(folder / "log.csv", machine=load_machine(folder / "stage.toml")), gain=False)
