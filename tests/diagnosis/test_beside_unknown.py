@@ -49,3 +49,32 @@ def make_log(folder: Path, seed: int, effect: float) -> Diagnosis:
     pd.DataFrame(rows, columns=names).round(3).to_csv(folder / "log.csv", index=False)
     (folder / "stage.toml").write_text(MACHINE, encoding="utf-8")
     return diagnose(read_log(folder / "log.csv", machine=load_machine(folder / "stage.toml")), gain=False)
+
+
+def test_a_cause_is_named_beside_profiles_four_times_the_noise(tmp_path: Path) -> None:
+    """The voltage, of 12 standard errors if the profiles were known, is nothing within their 22 %."""
+    diagnosis = make_log(tmp_path, seed=3, effect=0.05)
+    voltage, unknown = diagnosis.findings
+    assert (voltage.cause, unknown.cause) == ("supply-voltage", "unknown")
+    assert voltage.effect.low < 0.05 < voltage.effect.high
+    assert unknown.carrier.startswith("position")
+    assert diagnosis.repeatability == pytest.approx(NOISE, rel=0.25)
+
+
+def test_profiles_alone_are_unknown_and_nothing_else(tmp_path: Path) -> None:
+    """What each session and direction has for itself is no cause's."""
+    (unknown,) = make_log(tmp_path, seed=7, effect=0.0).findings
+    assert unknown.cause == "unknown"
+    assert unknown.carrier.startswith("position")
+
+
+@pytest.mark.nightly
+def test_rates_beside_profiles(tmp_path: Path) -> None:
+    """Of 20 logs with a voltage and 20 without."""
+    found = [
+        tuple(finding.cause for finding in make_log(tmp_path, seed, effect).findings)
+        for effect in (0.0, 0.05)
+        for seed in range(100, 120)
+    ]
+    assert sum(causes == ("unknown",) for causes in found[:20]) >= 18
+    assert sum(causes == ("supply-voltage", "unknown") for causes in found[20:]) >= 16
