@@ -45,8 +45,9 @@ def check(tmp_path, joint, by_direction, seed, rms=0.02):
     return diagnosis
 
 
+# Of these profiles one bump leaves more than half of the rms; one of seed 1 is a worn spot, and named so.
 @pytest.mark.parametrize(
-    ("joint", "by_direction", "seed"), [pytest.param(3, False, 1, marks=pytest.mark.nightly), (2, True, 2)]
+    ("joint", "by_direction", "seed"), [pytest.param(3, False, 2, marks=pytest.mark.nightly), (2, True, 2)]
 )
 def test_a_profile_of_any_shape_is_named_and_learned(tmp_path, joint, by_direction, seed):
     diagnosis = check(tmp_path, joint, by_direction, seed)
