@@ -92,6 +92,8 @@ def test_causes_are_in_a_law_where_other_sessions_give_their_size(made, sessions
         compare_strategies(log, [ConstantStepStrategy(), ClosedForm(), WithCauses(ClosedForm(), known)]),
         causes=["thermal-warm-up"],
     )
-    assert any("of the size that the other sessions give" in text for text in section.paragraphs) == (
-        sessions > 1
-    )
+    (overview,) = (table for table in section.tables if table.caption == "Strategies")
+    left_out = sessions == 1
+    assert any("of the size that the other sessions give" in text for text in section.paragraphs) != left_out
+    assert (overview.rows[-1][1:] == ("–", "–", "left out")) == left_out
+    assert ("Left out: the table of that name says why" in overview.note) == left_out
