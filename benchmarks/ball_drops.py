@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from joblib.externals.loky import get_reusable_executor
 from scipy.optimize import least_squares
 
 import stickslip_fit as ssf
@@ -99,6 +100,7 @@ def main() -> None:
 
 
 def _cpu_seconds() -> float:
+    get_reusable_executor().shutdown()  # the time of processes counts once they have ended
     kinds = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     return sum(sum(resource.getrusage(kind)[:2]) for kind in kinds)
 

@@ -16,7 +16,7 @@ from math import isfinite
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._format import coordinate_unit, step_unit
+from stickslip_fit._format import coordinate_unit, join_words, step_unit
 from stickslip_fit.anova.contrasts import build_comparison
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import expected_steps, float_column, traverse_length
@@ -241,7 +241,7 @@ def select_observations(rows: pd.DataFrame, joint: int | None, session: str | No
     """
     for name, wanted in (("joint", joint), ("session", session)):
         if wanted is not None:
-            known = ", ".join(map(str, rows[name].unique()))
+            known = join_words(list(map(str, sorted(rows[name].unique()))))
             rows = rows[rows[name] == wanted]
             if rows.empty:
                 raise InputError(f"no usable traverse of {name} {wanted!r}; the log has {known or 'none'}")

@@ -280,7 +280,8 @@ def load_posterior(path: str | Path, *, laws: Laws | None = None) -> Posterior:
     try:
         raw = path.read_bytes()
     except OSError as error:
-        raise InputError(InputIssue(f"cannot be read ({error.strerror})", str(path))) from None
+        message = f"cannot be read ({error.strerror}); name an existing posterior"
+        raise InputError(InputIssue(message, str(path))) from None
     content = read_result_json(beside)
     if content.get(DRAWS_KEY) != hashlib.sha256(raw).hexdigest():
         message = f"is no saved posterior, or damaged, or not the one saved with {beside}; fit the log again"

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.special import ndtr, ndtri
 
-from stickslip_fit._format import format_value
+from stickslip_fit._format import format_direction, format_value
 from stickslip_fit._json import to_plain
 from stickslip_fit._summary import Table, numbers, words
 from stickslip_fit._typing import Array, IntArray
@@ -428,15 +428,14 @@ def weak_priors(log: Log, laws: Laws | None = None) -> Priors:
 
 
 def _prior_lines(group: Group, prior: Prior) -> list[list[str]]:
-    joint, direction = group
-    lines = []
+    stub, lines = [str(group[0]), format_direction(group[1])], []
     for j, (name, unit) in enumerate(zip(prior.names, prior.units, strict=True)):
         digits = 3 if unit in ("1", "µrad/mm") else 1
         mean = f"{format_value(prior.centre[j], unit, digits)} ± {format_value(prior.width[j], unit, digits)}"
         spread = _format_range(prior.spread[j], prior.spread_factor, unit, digits)
-        lines.append([str(joint), direction, name, mean, spread])
+        lines.append([*stub, name, mean, spread])
     noise = _format_range(prior.repeatability, prior.repeatability_factor, "%", 2)
-    return [*lines, [str(joint), direction, "repeatability", "", noise]]
+    return [*lines, [*stub, "repeatability", "", noise]]
 
 
 def _format_range(median: float, factor: float, unit: str, digits: int) -> str:

@@ -12,7 +12,16 @@ from datetime import datetime
 from math import isfinite
 from typing import Any
 
-from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, explain_bad_unit, is_known
+from stickslip_fit.logs.schema import (
+    ARM_FORMAT,
+    CONDITIONS,
+    COVARIATE_PREFIX,
+    ORIENTATION,
+    OWN_LIMITS,
+    explain_bad_unit,
+    is_known,
+    is_outside,
+)
 from stickslip_fit.units import JOINTS
 
 POSITION_COLUMNS = ("q1", "q2", "q3", "theta", "psi", "start", "stop")
@@ -52,6 +61,15 @@ def _is_hash(value: Any) -> bool:
     return isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value) is not None
 
 
+def _number_within(limits: tuple[float, float]) -> _Kind:
+    """A number that the log may hold, SI: what its reader refuses has to be told of the journal."""
+    low, high = limits
+    return _Kind(
+        f"a number from {low:g} to {high:g}",
+        lambda value: _is_number(value) and not is_outside(value, limits),
+    )
+
+
 _TEXT = _Kind("text", lambda value: isinstance(value, str))
 _HASH = _Kind("a SHA-256 in hexadecimal digits", _is_hash)
 _COUNT = _Kind("a whole number from 0", _is_count)
@@ -86,9 +104,9 @@ _ROW = {
     "direction": _Kind("+ or -", lambda value: value in ("+", "-")),
     **dict.fromkeys(POSITION_COLUMNS, _NUMBER),
     **{f"q{joint}": _POSITION for joint in JOINTS},
+    **{name: _number_within(ARM_FORMAT.by_name[name].limits) for name in (*ORIENTATION, "step_period")},
     "status": _Kind("ok or excluded", lambda value: value in ("ok", "excluded")),
     "check_every": _COUNT_FROM_1,
-    "step_period": _Kind("a number above 0", lambda value: _is_number(value) and value > 0),
 }
 
 
@@ -142,8 +160,8 @@ def _check_condition(column: str, value: Any) -> None:
     own = name != column and bool(name.strip()) and not is_known(name) and not explain_bad_unit(name)
     if not own and column not in CONDITIONS:
         raise ImpossibleEventError(f"{_shorten(column)} is no condition")
-    if not _is_number(value):
-        raise ImpossibleEventError(f"{column} of conditions is {_shorten(value)}, not a number")
+    limits = OWN_LIMITS if own else CONDITIONS[column].limits
+    _check_fields("conditions", {column: value}, {column: _number_within(limits)})
 
 
 def _shorten(value: Any) -> str:

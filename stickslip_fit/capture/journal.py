@@ -155,7 +155,8 @@ def read_journal(path: str | Path, apply: EventHandler) -> JournalState:
     try:
         return _parse_records(_read_content(path), path, apply)
     except OSError as error:
-        raise InputError(InputIssue(f"cannot be read ({error.strerror})", str(path))) from None
+        message = f"cannot be read ({error.strerror}); name an existing journal"
+        raise InputError(InputIssue(message, str(path))) from None
 
 
 def _format_record(event: Event, before: int) -> tuple[bytes, int]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from stickslip_fit._format import pluralize
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.hypotheses import (
     EFFECT_TOL,
@@ -109,13 +110,13 @@ def explain_too_small(linearized: LinearizedFit) -> str | None:
     rows, parameters = len(linearized), linearized.basis.shape[1]
     if not is_log(linearized):
         return (
-            f"too few rows to test: {rows} for the law's {parameters} parameters, and {MIN_DF} more than "
-            f"those are needed; add {MIN_DF - linearized.df} in the same sessions"
+            f"too few rows to test: {rows} for the law's {pluralize(parameters, 'parameter')}, and "
+            f"{MIN_DF} more than that are needed; add {MIN_DF - linearized.df} in the same sessions"
         )
     return (
-        f"too few traverses to test: {rows} for the baseline's {parameters} parameters, and {MIN_DF} more "
-        f"than those are needed; add {MIN_DF - linearized.df} in the same sessions and directions, "
-        "replicates or new configurations"
+        f"too few traverses to test: {rows} for the baseline's {pluralize(parameters, 'parameter')}, and "
+        f"{MIN_DF} more than that are needed; add {MIN_DF - linearized.df} in the same sessions and "
+        "directions, replicates or new configurations"
     )
 
 

@@ -87,7 +87,8 @@ def read_script(path: Path) -> VelocityScript:
         with path.open(encoding="utf-8-sig", newline="") as file:
             records = [(reader.line_num, record) for reader in [csv.reader(file)] for record in reader]
     except OSError as error:
-        raise InputError(InputIssue(f"cannot be read ({error.strerror})", str(path))) from None
+        message = f"cannot be read ({error.strerror}); name an existing script"
+        raise InputError(InputIssue(message, str(path))) from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(InputIssue(f"is no CSV file ({error})", str(path))) from None
     records = [(line, [cell.strip() for cell in cells]) for line, cells in records if any(cells)]

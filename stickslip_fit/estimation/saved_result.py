@@ -88,7 +88,8 @@ def read_saved(
         content = json.loads(text, parse_float=_finite, parse_int=_whole, parse_constant=_finite)
         checksum = compute_checksum(content) if isinstance(content, dict) else ""
     except OSError as error:
-        raise InputError(InputIssue(f"cannot be read ({error.strerror})", str(path))) from None
+        message = f"cannot be read ({error.strerror}); give a file that `{command}` wrote"
+        raise InputError(InputIssue(message, str(path))) from None
     except (ValueError, RecursionError) as error:
         message = f"is no JSON ({shorten(str(error), 80)}); give a file that `{command}` wrote"
         raise InputError(InputIssue(message, str(path))) from None

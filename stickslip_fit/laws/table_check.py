@@ -291,12 +291,12 @@ def list_names(names: Sequence[str]) -> str:
 
 def _hints(law: TableLaw, frame: Rows, null: Array) -> str:
     """Parameters that may be mistyped columns."""
-    hints = []
-    for name in _undeclared(law, null):
+    names = _undeclared(law, null)
+    for name in names:
         similar = similar_name(name, [str(column) for column in frame])
         if similar and len(name) >= MIN_NAME:
-            hints.append(f". {name} is no column and so taken for a parameter; did you mean {similar}?")
-    return "".join(hints[:1])
+            return f". {name} is no column and so taken for a parameter; did you mean {similar}?"
+    return f". Names that are no column are parameters, here {join_words(names)}" if names else ""
 
 
 def _undeclared(law: TableLaw, null: Array) -> list[str]:

@@ -98,6 +98,8 @@ def plot_ranking(diagnosis: Diagnosis) -> Figure:
     rankings = [_rank_causes(misfit, named, aliased) for _, misfit, named, aliased in steps]
     longest = max(len(shorten(cause, MAX_NAME_LENGTH)) for ranking in rankings for cause, *_ in ranking)
     labels = {label for ranking in rankings for *_, label in ranking}
+    least = min(power for ranking in rankings for _, power, _ in ranking)
+    lowest = max(min(float(np.floor(least)), -1.0), MIN_LOG10_PROBABILITY)
     with report_style():
         figure, axes = make_figure(
             [0.17 * len(ranking) + 0.1 for ranking in rankings],
@@ -114,7 +116,7 @@ def plot_ranking(diagnosis: Diagnosis) -> Figure:
         )
         for axis, (title, *_), ranking in zip(axes[:, 0], steps, rankings, strict=True):
             axis.set_title(shorten(title, 80), loc="left")
-            _draw_probabilities(axis, ranking)
+            _draw_probabilities(axis, ranking, lowest)
         axes[-1, 0].set_xlabel("probability")
         axes[-1, 0].xaxis.set_major_formatter(FuncFormatter(lambda power, _: _format_power(power)))
     return figure
@@ -137,21 +139,21 @@ def _rank_causes(misfit: Misfit, named: str, aliased: Sequence[str]) -> list[tup
     ]
 
 
-def _draw_probabilities(axis: Axes, ranking: Sequence[tuple[str, float, str]]) -> None:
-    ends = np.maximum([power for _, power, _ in ranking], MIN_LOG10_PROBABILITY)
+def _draw_probabilities(axis: Axes, ranking: Sequence[tuple[str, float, str]], lowest: float) -> None:
+    ends = np.maximum([power for _, power, _ in ranking], lowest)
     colours = [LABEL_STYLES[label][0] for *_, label in ranking]
-    axis.hlines(range(len(ranking)), MIN_LOG10_PROBABILITY - 0.5, ends, colors=colours, lw=0.8)
+    axis.hlines(range(len(ranking)), lowest - 0.5, ends, colors=colours, lw=0.8)
     places: dict[tuple[str, str], list[int]] = {}
     for place, (_, power, label) in enumerate(ranking):
         colour, marker = LABEL_STYLES[label]
-        marker = "<" if power < MIN_LOG10_PROBABILITY else marker
+        marker = "<" if power < lowest else marker
         places.setdefault((colour, marker), []).append(place)
     for (colour, marker), own in places.items():
         axis.plot(ends[own], own, ls="", color=colour, marker=marker, ms=4.0, clip_on=False)
     axis.set_yticks(range(len(ranking)), [shorten(cause, MAX_NAME_LENGTH) for cause, *_ in ranking])
     axis.set_ylim(len(ranking) - 0.5, -0.5)
-    axis.set_xlim(MIN_LOG10_PROBABILITY - 0.5, 0.3)
-    axis.set_xticks(np.arange(MIN_LOG10_PROBABILITY, 1.0, 2.0))
+    axis.set_xlim(lowest - 0.5, 0.3)
+    axis.set_xticks(np.arange(0.0, lowest - 0.5, -1.0 if lowest > -6.0 else -2.0))
     axis.grid(visible=False, axis="y")
 
 

@@ -51,6 +51,7 @@ from stickslip_fit.reporting.calibration import (
 from stickslip_fit.strategies import Comparison
 from stickslip_fit.strategies._summary import compare_with_best
 from stickslip_fit.strategies.claims import claims_table
+from stickslip_fit.strategies.library import WITH_CAUSES
 
 
 def measured_section(log: Log) -> Section:
@@ -205,7 +206,7 @@ def strategies_section(
     if n_compared < sessions_in_log:
         latest = f"Compared on the latest {n_compared} of {sessions_in_log:,} sessions"
         paragraphs.append(f"{latest}; stickslip-fit compare takes all.")
-    if causes:
+    if causes and comparison.costs["strategy"].str.endswith(WITH_CAUSES).any():
         paragraphs.append(
             f"With causes: {join_words(list(causes))} in the law, of the size that the other sessions give."
         )

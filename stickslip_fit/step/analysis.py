@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 FACTORS = np.array([0.5, 0.5**0.5, 1.0, 2**0.5, 2.0])
 LOADS = np.linspace(-1.0, 1.0, 5)  # of the weight
-FINER = 4  # intervals between two of these, where a step takes no time to compute
+FINER = 16  # intervals between two of these, where a step takes no time to compute
 USE = (0, 10_000, 100_000, 1_000_000, 10_000_000, 100_000_000)  # steps
 SMALL = 0.01  # share, for slopes
 LATE, HARDLY = 0.02, 0.002  # share of the time and of the step

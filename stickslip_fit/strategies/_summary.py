@@ -180,11 +180,13 @@ def overview_table(joints: Sequence[JointStrategies]) -> Table:
                 verdict = "best" if name == own.best else SHORT_VERDICTS.get(verdicts.get(name, ""), "")
                 row += [f"{minutes[name]:.0f}", format_percent(errors[name], with_unit=False), verdict]
             else:
-                row += [MISSING, MISSING, ""]
+                row += [MISSING, MISSING, "left out"]
     rows = tuple((name, *row) for name, row in cells.items())
     note = (
         "Time: for each session. Rms of errors on held-out traverses. As good: this log tells no difference."
     )
+    if any("left out" in row for row in rows):
+        note += " Left out: the table of that name says why."
     return Table("Strategies", tuple(columns), rows, note=note)
 
 

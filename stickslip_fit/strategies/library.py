@@ -173,6 +173,9 @@ def _session_posterior(posterior: ConditionalPosterior, session: int, k: int) ->
     return mean, tau[:, None] * shrinkage * tau + response @ campaign @ response.T
 
 
+WITH_CAUSES = ", with causes"  # ends the names of these
+
+
 @dataclass(frozen=True, eq=False)
 class WithCauses(PlannedStrategy):
     """Another strategy, with causes of known size in the law.
@@ -194,7 +197,7 @@ class WithCauses(PlannedStrategy):
     @property
     def name(self) -> str:
         """See `Strategy.name`."""
-        return f"{self.strategy.name}, with causes"
+        return f"{self.strategy.name}{WITH_CAUSES}"
 
     def choose(self, task: CalibrationTask) -> IntArray:
         """See `Strategy.choose`."""

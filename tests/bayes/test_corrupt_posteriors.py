@@ -66,9 +66,11 @@ def test_draws_and_result_belong_together(pair):
     shutil.copy(SAVED.parents[1] / "estimation" / "saved" / "result-1.json", beside)
     assert "is no saved posterior, or damaged" in refused(pair)
     beside.unlink()
-    assert "fit.json: cannot be read" in refused(pair)
+    assert "fit.json: cannot be read (No such file or directory); give a file that `fit --json`" in refused(
+        pair
+    )
     beside.with_suffix(".nc").unlink()
-    assert "fit.nc: cannot be read" in refused(pair)
+    assert "fit.nc: cannot be read (No such file or directory); name an existing posterior" in refused(pair)
 
 
 def set_attribute(name, value):

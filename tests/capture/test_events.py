@@ -104,10 +104,14 @@ CHANGES = {
     "a time without zone": lambda events: first(events, "drive")["row"].update(time="2012-03-05"),
     "another way than the direction": lambda events: first(events, "drive")["row"].update(stop=-9.0),
     "a place out of range": lambda events: first(events, "drive")["row"].update(q3=9.0),
+    "an angle that the log may not hold": lambda events: first(events, "drive")["row"].update(psi=1e30),
     "another session": lambda events: first(events, "drive")["row"].update(session="never"),
     "another purpose": lambda events: first(events, "drive").update(purpose=["home"]),
     "a condition that is none": lambda events: first(events, "conditions").update(values={"steps": 1.0}),
     "a condition that is text": lambda events: first(events, "conditions").update(values={"supply": "80"}),
+    "a condition that the log may not hold": lambda events: first(events, "conditions").update(
+        values={"supply": 1e30}
+    ),
     "the plan's next traverse left out": lambda events: first(events, "skipped").update(planned=9),
     "a reading made twice": repeat_reading,
     "a list": lambda events: events.insert(3, ["commanded", 5]),

@@ -61,7 +61,8 @@ def places(hidden):
         "the last": len(load) - 1,
         "the extreme load": int(np.argmax(np.abs(load))),
         "the rarest configuration": int(first[np.argmin(count)]),
-        "joint 1": int(np.flatnonzero(plan.joint == 1)[0]),
+        # Over its whole range: one of few short traverses is a parameter's only witness.
+        "joint 1": int(np.flatnonzero((plan.joint == 1) & (np.ptp(plan.settings[:, 5:], axis=1) == 240))[0]),
         "in calibration": int(np.flatnonzero((plan.joint == 3) & (plan.settings[:, 1] == -90))[1]),
     }
 

@@ -171,6 +171,7 @@ BAD = {
     "column as parameter": (dict(formula="F ~ a*acc", bounds={"acc": (0, 1)}), "acc is a column"),
     "both sides": (dict(formula="F ~ a*F"), "F stands on both sides"),
     "product": (dict(formula="F ~ M*accel*acc"), "M and accel occur only as a product.*did you mean acc"),
+    "no column": (dict(formula="F ~ M*zeit"), "Names that are no column are parameters, here M and zeit"),
     "ratio": (dict(formula="F ~ a*vel/b"), "a and b occur only as a ratio"),
     "sum": (dict(formula="F ~ M*vel + Fv*vel2 + c"), re.escape("only M + 2*Fv is determined")),
     "two sums": (dict(formula="F ~ a*(vel + acc) + b*vel + c*acc"), "only .* and .* are determined"),

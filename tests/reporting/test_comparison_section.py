@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from stickslip_fit.causes import ThermalWarmUp
 from stickslip_fit.reporting import report
 from stickslip_fit.reporting.sections import strategies_section
 from stickslip_fit.strategies import (
@@ -11,6 +12,8 @@ from stickslip_fit.strategies import (
     ConstantStepStrategy,
     IOptimal,
     LeastSquares,
+    WithCauses,
+    causes_from_other_sessions,
     compare_strategies,
 )
 from stickslip_fit.strategies._summary import JointStrategies, strategies_table
@@ -79,3 +82,18 @@ def test_one_session_says_what_its_intervals_are_over(made):
     section = strategies_section(compare_strategies(log, [ConstantStepStrategy(), ClosedForm()]))
     assert "are over its configurations, since there is one session" in section.paragraphs[0]
     assert "Left out" not in [table.caption for table in section.tables]
+
+
+@pytest.mark.parametrize("sessions", [1, 2])
+def test_causes_are_in_a_law_where_other_sessions_give_their_size(made, sessions):
+    log = made.log.select(made.log.rows["session"].isin(DATES[:sessions]))
+    known = causes_from_other_sessions(log, [ThermalWarmUp()])
+    section = strategies_section(
+        compare_strategies(log, [ConstantStepStrategy(), ClosedForm(), WithCauses(ClosedForm(), known)]),
+        causes=["thermal-warm-up"],
+    )
+    (overview,) = (table for table in section.tables if table.caption == "Strategies")
+    left_out = sessions == 1
+    assert any("of the size that the other sessions give" in text for text in section.paragraphs) != left_out
+    assert (overview.rows[-1][1:] == ("–", "–", "left out")) == left_out
+    assert ("Left out: the table of that name says why" in overview.note) == left_out

@@ -29,6 +29,6 @@ def test_a_page_does_not_grow_with_the_log(campaign, read_page, read_table, days
     assert [row[0] for row in sessions] == [f"day {day:03d}" for day in range(days - 10, days)]
     assert len(html.encode()) < MOST
     assert f"The latest 10 of {days} sessions." in html
-    assert "chosen at random" in html
+    assert ("chosen at random" in html) == (days == 100)  # 22 days have few enough points to draw them all
     assert f"day {days - 1:03d}" in html
     assert "day 005" not in page.text

@@ -56,5 +56,5 @@ def test_a_section_that_cannot_be_says_why_and_costs_nothing_else(written, campa
 @pytest.mark.nightly
 def test_many_sessions_are_compared_by_the_latest(written, campaign, monkeypatch):
     monkeypatch.setattr("stickslip_fit.reporting.page.MAX_COMPARED_SESSIONS", 3)
-    page = written(campaign(DAYS, CALIBRATION_3 + PSI[:1], replicates=1), "--no-diagnosis")
+    page = written(campaign(DAYS, CALIBRATION_3 + PSI[:1]), "--no-diagnosis")
     assert "Compared on the latest 3 of 5 sessions" in page.text
