@@ -59,11 +59,11 @@ class NumericFunction:
 
     @property
     def active_names(self) -> frozenset[str]:
-        """See `Expression.active_names`; all of them, as far as one can tell."""
+        """The names of all arguments: which of them cancel out is not known."""
         return frozenset(self.names)
 
     def evaluate(self, quantities: Mapping[str, Any]) -> Array:
-        """See `Expression.evaluate`.
+        """The function's value at quantities by name, of shapes that broadcast.
 
         Raises
         ------
@@ -73,7 +73,7 @@ class NumericFunction:
         return self._call({name: np.asarray(quantities[name], dtype=float) for name in self.names})
 
     def function(self, by: Sequence[str] = ()) -> Callable[[Mapping[str, Any]], tuple[Array, Array]]:
-        """See `Expression.function`."""
+        """From quantities by name to the value and its derivatives by the names of `by`, (..., len(by))."""
         is_analytic: dict[str, bool] = {}
 
         def evaluate(quantities: Mapping[str, Any]) -> tuple[Array, Array]:

@@ -66,7 +66,8 @@ def imports_of(tree: ast.AST, plots: bool = False) -> list[tuple[str, bool]]:
             found += [(alias.name, plots) for alias in node.names]
         is_plot = isinstance(node, ast.FunctionDef) and (node.name + "_").startswith("plot_")
         inside = plots or is_plot
-        found += imports_of(node, inside)
+        if not isinstance(node, ast.expr):
+            found += imports_of(node, inside)
     return [(name, inside) for name, inside in found if name.startswith("stickslip_fit.")]
 
 

@@ -313,18 +313,6 @@ def linearize_at_mode(traverses: GroupData, prior: Prior) -> tuple[MarginalLikel
     return marginal, x, covariance
 
 
-def expected_sessions(traverses: GroupData, prior: Prior, x: Array) -> Array:
-    """Each session's expected parameters, SI, shape (S, p), at these spreads and repeatability, (p + 1,)."""
-    z, mean, _ = _first_guess(traverses, prior)
-    spread, repeatability = prior.width, prior.levels(x)[1]
-    for _ in range(EXPANSION_ROUNDS):
-        z = _session_modes(traverses, prior, z, mean, spread, repeatability)
-        spread, repeatability = prior.levels(x)
-        conditional = linearize(traverses, prior, z).conditional(x[None])
-        mean = conditional.centre[:, 0]
-    return prior.centre + prior.width * conditional.sessions(conditional.centre)[:, :, 0].T
-
-
 def _first_guess(traverses: GroupData, prior: Prior) -> tuple[Array, Array, Array]:
     """Sessions' z, campaign mean and hyperparameters, all at the centre of the prior."""
     p = len(prior.names)

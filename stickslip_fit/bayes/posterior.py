@@ -252,7 +252,7 @@ class PosteriorInSI:
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """See `Result.parameters`."""
+        """As `Posterior.parameters`; unit remains the one people read the numbers in."""
         return self.posterior.result.si.parameters
 
     def predict(self, rows: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:

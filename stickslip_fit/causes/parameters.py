@@ -110,7 +110,7 @@ class SizesByDirection:
         return self.sizes[0].size
 
     def times(self, factor: float, unit: str = "") -> SizesByDirection:
-        """See `SizedParameter.times`."""
+        """Each size times a factor, displayed in another unit if one is given."""
         return SizesByDirection(tuple(one.times(factor, unit) for one in self.sizes))
 
     def __format__(self, form: str) -> str:

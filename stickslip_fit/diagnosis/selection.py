@@ -147,10 +147,8 @@ def select_causes(
     `n_bootstrap` is the number of samples of noise alone for each test. Rows that are `trusted` are no
     outliers.
     """
-    effects = compute_finite_effects(problem.linearize(), problem.causes)
-    noise = _reestimate_noise(problem, effects)
     while True:
-        selection = _select(noise, effects, alpha, n_bootstrap, rng, trusted)
+        selection = _select(problem, alpha, n_bootstrap, rng, trusted)
         # Beside an effect far above the noise, of which the test knows the linear part alone, rows look
         # outlying that the law with its cause explains.
         explained = explain_outliers(selection, problem, selection.outliers)
@@ -160,18 +158,10 @@ def select_causes(
 
 
 def _select(
-    noise: tuple[DiagnosisProblem, LinearizedFit, Array],
-    effects: list[FiniteEffects],
-    alpha: float,
-    n_bootstrap: int,
-    rng: np.random.Generator,
-    trusted: IntArray,
+    problem: DiagnosisProblem, alpha: float, n_bootstrap: int, rng: np.random.Generator, trusted: IntArray
 ) -> Selection:
-    """As `select_causes`, from the first estimate of the noise.
-
-    `effects`, of `noise`, are cleared unless there are outliers, with which it may be called again.
-    """
-    problem, linearized, residual = noise
+    effects = compute_finite_effects(problem.linearize(), problem.causes)
+    problem, linearized, residual = _reestimate_noise(problem, effects)
     test = find_outliers(linearized, residual, problem.noise_group, n_bootstrap, rng)
     beside = np.column_stack([residual, linearized.residual])
     alone = test.rows[~find_runs(test.rows, problem.smooth_columns, beside)]
@@ -188,7 +178,7 @@ def _select(
     first = last = assess_residuals(
         linearized, problem, n_bootstrap, rng, max_exceedances=MAX_EXCEEDANCES, effects=effects
     )
-    effects.clear()  # as large as all hypotheses
+    del effects  # as large as all hypotheses
     p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     fit, level = problem.fit_extended(), allocate_alpha(alpha)
     selected: list[SelectedCause] = []

@@ -147,7 +147,7 @@ class StageReading:
 
     @property
     def regime(self) -> str:
-        """See `find_regime`."""
+        """``friction-limited`` or ``velocity-limited`` where all joints and directions are, else empty."""
         return find_regime(self.fingerprint["friction_limited"])
 
 

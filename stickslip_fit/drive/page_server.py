@@ -143,7 +143,7 @@ def serve_page[Content: PageContent](
 
 
 class PageServer(ThreadingHTTPServer):
-    """See `serve_page`; bound to the loopback address alone."""
+    """The server of a drive's page, bound to the loopback address alone."""
 
     daemon_threads = True
     allow_reuse_address = os.name == "posix"  # elsewhere two programs could serve one port

@@ -125,10 +125,10 @@ def rehearse_drive(
     >>> from stickslip_fit.estimation import fit_least_squares
     >>> from stickslip_fit.logs import read_log
     >>> fit = fit_least_squares(read_log("data/reference/campaign.csv"))
-    >>> trace = rehearse_drive(fit, [0.0, -1.2, 0.004], [(0, 40, 0, 0), (10, 0, 0, 30), (20, 0, 0, 0)])
+    >>> trace = rehearse_drive(fit, [0.0, -1.2, 0.004], [(0, 40, 0, 0), (2, 0, 0, 30), (4, 0, 0, 0)])
     >>> last = trace.table.iloc[-1]
     >>> print(f"{last['x_mm'] - trace.table['x_mm'][0]:.2f} mm on, within {last['radius_um']:.1f} µm (95 %)")
-    0.40 mm on, within 2.9 µm (95 %)
+    0.08 mm on, within 0.6 µm (95 %)
     """
     velocities = read_script(Path(script)) if isinstance(script, str | Path) else check_rows(script)
     drive, clock = DriveReckoning(arm, start), VirtualClock()

@@ -347,11 +347,8 @@ class Result(Summarized):
             )
         response, jacobian = fit.law.model(rows)(fit.values[group])
         spread = np.sqrt(np.einsum("ni,nij,nj->n", jacobian, fit.covariance[group], jacobian))
-        directions = fit.groups["direction"].to_numpy()[group]
-        levels = fit.repeatability.items()
-        noise = pd.Series({sign: level.value for sign, level in levels}).loc[directions].to_numpy()
-        reach = pd.Series({sign: t_quantile(level.df) for sign, level in levels}).loc[directions].to_numpy()
-        total = reach * np.hypot(spread, noise)
+        reaches = {sign: t_quantile(level.df) for sign, level in fit.repeatability.items()}
+        total = rows["direction"].map(reaches).to_numpy(float) * np.hypot(spread, self._noise_of(rows))
         steps = np.exp(response)
         with np.errstate(over="ignore"):  # next to nothing known: the interval has no end
             low, high = np.exp(response - total), np.exp(response + total)

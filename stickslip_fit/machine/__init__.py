@@ -5,8 +5,6 @@ from stickslip_fit.machine.dynamics import (
     gravity_forces,
     gravity_scale,
     inertia_matrix,
-    joint_forces,
-    tip_load,
 )
 from stickslip_fit.machine.kinematics import (
     forward,
@@ -17,7 +15,6 @@ from stickslip_fit.machine.kinematics import (
     nearest_solution,
     published_load,
     reach,
-    vertical_in_base,
 )
 from stickslip_fit.machine.machine import Link, Machine, load_machine
 
@@ -32,12 +29,9 @@ __all__ = [
     "inertia_matrix",
     "inverse",
     "jacobian",
-    "joint_forces",
     "load_machine",
     "mean_load",
     "nearest_solution",
     "published_load",
     "reach",
-    "tip_load",
-    "vertical_in_base",
 ]

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stickslip_fit._typing import Array
-from stickslip_fit.errors import InputError
-from stickslip_fit.machine.kinematics import full_load, jacobian
+from stickslip_fit.machine.kinematics import full_load
 from stickslip_fit.machine.machine import Machine
 from stickslip_fit.units import JOINTS
 
@@ -150,80 +149,6 @@ def gravity_forces(
     q1, q2, _ = np.moveaxis(np.asarray(q, float), -1, 0)
     loads = np.broadcast_arrays(*(full_load(joint, q1, q2, theta, psi) for joint in JOINTS))
     return gravity_scale(machine, q, g) * np.stack(loads, axis=-1)
-
-
-def joint_forces(machine: Machine, q: npt.ArrayLike, tip_force: npt.ArrayLike) -> Array:
-    """The joint forces that balance a force on the tip, tau = -J^T F.
-
-    The sign is gravity's: above 0 where moving in `+` goes against the force. A weight hung on the
-    tip is F = -m g `vertical_in_base`, as a further mass would be.
-
-    Parameters
-    ----------
-    machine : Machine
-    q : array_like, shape (..., 3)
-        Joint positions, rad, rad, m.
-    tip_force : array_like, shape (..., 3)
-        Force that the world exerts on the tip, in the base's frame, N.
-
-    Returns
-    -------
-    array, shape (..., 3)
-        N m, N m, N.
-
-    Examples
-    --------
-    >>> from stickslip_fit.machine import load_machine
-    >>> pushed_back = joint_forces(load_machine(), [0.0, -np.pi / 2, 0.0], [-0.001, 0.0, 0.0])
-    >>> float(pushed_back[2])
-    0.001
-    """
-    return -np.einsum("...ij,...i->...j", jacobian(machine, q), np.asarray(tip_force, float))
-
-
-def tip_load(
-    machine: Machine, joint: int, q: npt.ArrayLike, tip_force: npt.ArrayLike, g: float = STANDARD_GRAVITY
-) -> Array:
-    """A force on the tip as a load on one joint, on the scale of `full_load` and to be added to it.
-
-    A law's load coefficient is the step size gained from the joint's whole gravity load where it
-    stands, so a tip force counts as `joint_forces` divided by `gravity_scale`.
-
-    Parameters
-    ----------
-    machine : Machine
-        Its masses set the scale: weigh them before you rely on it.
-    joint : {1, 2, 3}
-    q : array_like, shape (..., 3)
-        Joint positions, rad, rad, m.
-    tip_force : array_like, shape (..., 3)
-        Force that the world exerts on the tip, in the base's frame, N.
-    g : float, optional
-        m/s^2.
-
-    Returns
-    -------
-    array, shape (...)
-
-    Raises
-    ------
-    InputError
-        Where the arm is balanced about the joint, so that gravity gives no scale.
-    ValueError
-        For a joint other than 1, 2 or 3.
-
-    Examples
-    --------
-    >>> from stickslip_fit.machine import load_machine
-    >>> round(float(tip_load(load_machine(), 3, [0.0, 0.0, 0.0], [0.0, 0.0, -0.001])), 4)
-    0.0204
-    """
-    if joint not in JOINTS:
-        raise ValueError(f"joint {joint} is none of 1, 2, 3")
-    scale = gravity_scale(machine, q, g)[..., joint - 1]
-    if np.any(scale == 0.0):
-        raise InputError(f"the arm is balanced about joint {joint}: gravity gives tip forces no scale")
-    return joint_forces(machine, q, tip_force)[..., joint - 1] / scale
 
 
 def _half_inertia_derivatives(machine: Machine, q2: Array, q3: Array) -> tuple[Array, Array, Array]:

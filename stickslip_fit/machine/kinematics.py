@@ -240,18 +240,6 @@ def _check_three_numbers(values: npt.ArrayLike, what: str, meaning: str) -> list
     return [float(x) for x in numbers]
 
 
-def vertical_in_base(theta: npt.ArrayLike, psi: npt.ArrayLike) -> Array:
-    """The vertical in the base's frame, shape (..., 3), for base orientations in rad.
-
-    Examples
-    --------
-    >>> vertical_in_base(0.0, 0.0)
-    array([-0.,  0.,  1.])
-    """
-    theta, psi = np.broadcast_arrays(np.asarray(theta, float), np.asarray(psi, float))
-    return np.stack([-np.cos(theta) * np.sin(psi), np.sin(theta), np.cos(theta) * np.cos(psi)], axis=-1)
-
-
 def published_load(
     joint: int, q1: npt.ArrayLike, q2: npt.ArrayLike, theta: npt.ArrayLike, psi: npt.ArrayLike
 ) -> Array:

@@ -24,7 +24,7 @@ from stickslip_fit.estimation.with_causes import FixedCauseLaw
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.machine import forward, jacobian
 from stickslip_fit.moves.arm import Z_95, CalibratedArm, as_calibrated_arm, check_positions
-from stickslip_fit.moves.dead_reckoning import DriveCommand, position_after
+from stickslip_fit.moves.dead_reckoning import position_after
 from stickslip_fit.moves.error_ellipsoid import error_radius
 from stickslip_fit.moves.path import PathSegment, TipPaths
 from stickslip_fit.simulation.truth import Group
@@ -288,54 +288,6 @@ def build_drive_rows(
         before_load=segment.before_load,
     )
     return covariates | joints | columns
-
-
-def plan_drives(arm: CalibratedArm, path: TipPaths) -> tuple[DriveCommand, ...]:
-    """Commands for a straight move; `dead_reckon` gives where they take the tip, with its uncertainty.
-
-    Parameters
-    ----------
-    path : TipPaths
-        Of one move, see `straight_path`; the base is oriented as in `arm`.
-
-    Raises
-    ------
-    InputError
-        If a law is not calibrated, or stalls on the way.
-
-    Examples
-    --------
-    A millimetre upwards, in two segments, by the latest session of the reference campaign:
-
-    >>> from stickslip_fit.estimation import fit_least_squares
-    >>> from stickslip_fit.logs import read_log
-    >>> from stickslip_fit.moves import calibrated_arm, dead_reckon, straight_path
-    >>> arm = calibrated_arm(fit_least_squares(read_log("data/reference/campaign.csv")))
-    >>> path = straight_path(arm.machine, [0.0, -1.2, 0.004], [0.0, 0.0, 1.0], 1e-3, n_segments=2)
-    >>> drives = plan_drives(arm, path)
-    >>> for drive in drives:
-    ...     print(f"joint {drive.joint}: {drive.steps} steps in {drive.direction}")
-    joint 2: 126 steps in +
-    joint 3: 248 steps in +
-    joint 2: 125 steps in +
-    joint 3: 258 steps in +
-    >>> pose = dead_reckon(arm, path.joint_positions[0, 0], drives)
-    >>> error = np.linalg.norm(pose.tip - path.tips[0, -1])
-    >>> print(f"{error * 1e6:.1f} µm by rounding, and within {pose.tip_radius * 1e6:.1f} µm (95 %)")
-    1.1 µm by rounding, and within 3.9 µm (95 %)
-    """
-    if len(path) != 1:
-        raise InputError(f"drives are worked out for one move at a time, not for {len(path)}")
-    remainder, drives = np.zeros(3), []
-    for segment in path.segments:
-        joint, q = segment.joint, path.joint_positions[0, segment.drive_index]
-        travel = arm.joint_travel(q, joint, float(segment.stop[0]))
-        displacement = segment.stop - segment.start
-        steps, left_over = round_steps(np.array(travel.counts), displacement, remainder[joint - 1])
-        remainder[joint - 1] = left_over[0]
-        drives.append(DriveCommand(joint, segment.direction, int(steps[0])))
-        arm = arm.after_drive(travel.row, drives[-1].steps)
-    return tuple(drives)
 
 
 def simulate_open_loop(paths: TipPaths, truth: TrueLaws, steps: Array, noise: Array | None = None) -> Array:

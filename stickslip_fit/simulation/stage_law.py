@@ -63,7 +63,7 @@ class MountedStage:
 
     @cached_property
     def step(self) -> Callable[[WorkingPoints], Array]:
-        """See `make_step_function`."""
+        """The steps as a function of `WorkingPoints`, m; nan where friction does not hold the load."""
         return make_step_function(self.stage)
 
     def bind(self, sessions: Sequence[str], traverses: int) -> MountedStage:

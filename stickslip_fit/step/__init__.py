@@ -4,14 +4,12 @@ from stickslip_fit.step import _summary as _summary  # registers how a stage is 
 from stickslip_fit.step.analysis import StageAnalysis, analyse_stage
 from stickslip_fit.step.closed_form import (
     RelativeStep,
-    StepDerivatives,
     back_slip,
     drive_ratio,
     is_friction_limited,
     relative_size,
     relative_step,
     settling_time,
-    step_derivatives,
     step_size,
 )
 from stickslip_fit.step.coulomb import CoulombMotion, coulomb_motion, coulomb_step
@@ -59,7 +57,6 @@ __all__ = [
     "Stage",
     "StageAnalysis",
     "StageDrift",
-    "StepDerivatives",
     "StepLimitError",
     "StepSweep",
     "StepTrace",
@@ -79,7 +76,6 @@ __all__ = [
     "settling_time",
     "solve_motion",
     "spread_maxwell_slip",
-    "step_derivatives",
     "step_size",
     "sweep_step",
 ]

@@ -34,16 +34,6 @@ import numpy.typing as npt
 from stickslip_fit._typing import Array, BoolArray
 
 
-class StepDerivatives(NamedTuple):
-    """Derivatives of the step size with respect to each argument of `step_size`, each an array."""
-
-    friction_acceleration: Array
-    ramp_time: Array
-    amplitude: Array
-    load: Array
-    flyback_time: Array
-
-
 class RelativeStep(NamedTuple):
     """Step size over a_f T1^2, and its derivatives, each an array."""
 
@@ -249,43 +239,6 @@ def settling_time(
     return np.where(m.excess > 0, m.flyback_time + backward / m.gaining, coast)
 
 
-def step_derivatives(
-    friction_acceleration: npt.ArrayLike,
-    ramp_time: npt.ArrayLike,
-    amplitude: npt.ArrayLike,
-    load: npt.ArrayLike = 0.0,
-    flyback_time: npt.ArrayLike = 0.0,
-) -> StepDerivatives:
-    """Differentiate `step_size` with respect to each of its arguments, in closed form.
-
-    Where regimes meet, the derivative of the regime with smaller lambda and no back-slip is given.
-
-    Returns
-    -------
-    StepDerivatives
-        By `friction_acceleration`, `ramp_time`, `amplitude`, `load` and `flyback_time`, each of the
-        arguments' broadcast shape.
-
-    Examples
-    --------
-    >>> slopes = step_derivatives(50.0, 1e-4, 1e-6)
-    >>> bool(np.isclose(slopes.load, -2 * 1e-4**2)), float(slopes.amplitude)
-    (True, 0.0)
-    """
-    m = _motion(friction_acceleration, ramp_time, amplitude, load, flyback_time)
-    time, unit = m.ramp_time, relative_step(m.ratio, m.load / m.friction)
-    unscaled = unit.step - m.ratio * unit.by_ratio
-    steps = (
-        time**2 * (unscaled - m.load / m.friction * unit.by_share),
-        2 * m.friction * time * unscaled,
-        unit.by_ratio,
-        time**2 * unit.by_share,
-        0 * m.friction,
-    )
-    losses = _back_slip_derivatives(m)
-    return StepDerivatives(*[a - b for a, b in zip(steps, losses, strict=True)])
-
-
 def _motion(
     friction: npt.ArrayLike,
     ramp_time: npt.ArrayLike,
@@ -314,41 +267,3 @@ def _back_slip(m: _Motion) -> Array:
     with np.errstate(invalid="ignore"):
         followed = np.where(m.excess > m.return_speed, m.return_speed * rest, 0.0)
     return loss + followed
-
-
-def _back_slip_derivatives(m: _Motion) -> tuple[Array, ...]:
-    """By friction acceleration, ramp time, amplitude, load and flyback time."""
-    product = m.slowing * m.gaining
-    speed_by = (  # v
-        np.where(m.is_limited, m.ramp_time, 0.0),
-        np.where(m.is_limited, m.gaining, -m.foot_speed / m.ramp_time),
-        np.where(m.is_limited, 0.0, 1 / m.ramp_time),
-        np.where(m.is_limited, -m.ramp_time, 0.0),
-        0 * m.friction,
-    )
-    # a_f / (A B), whose derivatives by a_f and G follow from A B = a_f^2 - G^2.
-    mobility = m.friction / product
-    mobility_by = (
-        -(m.friction**2 + m.load**2) / product**2,
-        0.0,
-        0.0,
-        2 * m.friction * m.load / product**2,
-        0.0,
-    )
-    slowing_by = (1.0, 0.0, 0.0, 1.0, 0.0)
-    amplitude_by = (0.0, 0.0, 1.0, 0.0, 0.0)
-    flyback_by = (0.0, 0.0, 0.0, 0.0, 1.0)
-    excess, follows = m.excess, m.excess > m.return_speed
-    # Only where the slider follows the foot, and there the flyback takes time.
-    flyback = np.where(follows, m.flyback_time, 1.0)
-    back, v = m.amplitude / flyback, m.speed
-    losses = []
-    for i in range(5):
-        excess_by = slowing_by[i] * m.flyback_time + m.slowing * flyback_by[i] - speed_by[i]
-        dragged = 2 * excess * excess_by * mobility + excess**2 * mobility_by[i]
-        back_by = (amplitude_by[i] - back * flyback_by[i]) / flyback
-        travel_by = (back_by * (v + 2 * back) + back * speed_by[i]) / m.slowing
-        travel_by -= back * (v + back) * slowing_by[i] / m.slowing**2
-        followed = 2 * back * back_by * mobility + back**2 * mobility_by[i] + amplitude_by[i] - travel_by
-        losses.append(np.where(follows, followed, np.where(excess > 0, dragged, 0.0)))
-    return tuple(losses)

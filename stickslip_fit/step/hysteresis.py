@@ -85,20 +85,6 @@ class Hysteresis(ABC):
         weights, thresholds = self.plays
         return float(weights @ np.clip(np.minimum(2 * thresholds, swing - 2 * thresholds), 0, None))
 
-    def loop_area(self, swing: float) -> float:
-        """Area of the settled loop, V^2: 2 sum w_i r_i (swing - 2 r_i) over the plays that move.
-
-        Each runs round a parallelogram. Times the charge for each volt of response, it is the energy lost in
-        one period.
-
-        Examples
-        --------
-        >>> PrandtlIshlinskii((0.25,), (4.0,)).loop_area(20.0)
-        24.0
-        """
-        weights, thresholds = self.plays
-        return float(2 * (weights * thresholds) @ np.clip(swing - 2 * thresholds, 0, None))
-
     def apply(self, motion: FootMotion, gain: float) -> FootMotion:
         """Make the foot's motion over one period of the settled loop; it begins where `motion` does.
 
@@ -215,32 +201,6 @@ class MaxwellCapacitor(Hysteresis):
         held = np.where(limit / stiffness > slides[:, None], stiffness, 0.0).sum(axis=1)
         slopes = 1 / (1 + np.concatenate([[stiffness.sum()], held]))
         return np.diff(slopes), thresholds
-
-    def voltage_for(self, response: npt.ArrayLike) -> Array:
-        """Compute the voltage that relaxed elements show on a path of responses, element by element.
-
-        Parameters
-        ----------
-        response : array_like, shape (n,)
-            Travel over gain, one after the other, V; monotone in between.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            V.
-
-        Examples
-        --------
-        >>> MaxwellCapacitor((0.5,), (3.0,)).voltage_for([6.0, 12.0, 8.0])
-        array([ 9., 15.,  9.])
-        """
-        stiffness, limit = np.array(self.stiffnesses), np.array(self.break_voltages)
-        path = np.asarray(response, dtype=float)
-        force, voltages = np.zeros(len(limit)), []
-        for value, move in zip(path, np.diff(path, prepend=0.0), strict=True):
-            force = np.clip(force + stiffness * move, -limit, limit)
-            voltages.append(value + force.sum())
-        return np.array(voltages)
 
 
 def _check_pairs(

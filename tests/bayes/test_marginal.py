@@ -8,7 +8,6 @@ from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
 from stickslip_fit.bayes.marginal import (
-    expected_sessions,
     find_mode,
     linearize,
     linearize_at_mode,
@@ -58,8 +57,6 @@ def test_sessions_given_the_levels_are_those_of_the_multivariate_normal(linear_t
         mean, covariance, phi_mean, _, cross = brute_force(linear_traverses, linear_prior, one)
         best = phi_mean + cross.T @ np.linalg.solve(covariance, linear_traverses.y - mean)
         assert expected[:, :, k].T.ravel() == pytest.approx(best, abs=1e-10)
-        alone = expected_sessions(linear_traverses, linear_prior, one)
-        assert alone.ravel() == pytest.approx(best, abs=1e-10)
 
 
 def test_draws_of_the_sessions_have_the_covariance_of_the_multivariate_normal(

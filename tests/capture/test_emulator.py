@@ -8,7 +8,6 @@ import pytest
 
 from stickslip_fit.capture.emulator.acoustics import Acoustics
 from stickslip_fit.capture.emulator.rig import EmulatedRig, emulate_rig
-from stickslip_fit.causes import library
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs.plan import Noise
 from stickslip_fit.simulation import expected_counts, simulate
@@ -43,7 +42,6 @@ def counted(rig, controller, ear, joint, direction, check_every=5):
 
 
 CAUSES = {
-    "nothing": "",
     "thermal-warm-up": 'A = "5 %"\ntau = "20 min"',
     "wear": 'k = "1 %"\nn0 = "2000 steps"',
     "reversal-loss": 'L = "40 steps"',
@@ -54,14 +52,13 @@ CAUSES = {
 }
 
 
-def hidden(name):
-    return f'\n[[cause]]\nname = "{name}"\n{CAUSES[name]}\n' if CAUSES[name] else ""
+def hidden(*names):
+    return "".join(f'\n[[cause]]\nname = "{name}"\n{CAUSES[name]}\n' for name in names)
 
 
-@pytest.mark.parametrize("name", CAUSES)
-def test_without_noise_it_counts_exactly_what_simulate_counts(name, tmp_path):
-    assert name == "nothing" or name in {cause.name for cause in library()}
-    truth = truth_of(tmp_path, hidden(name))
+@pytest.mark.parametrize("names", [(), [*CAUSES][:4], [*CAUSES][4:]], ids=", ".join)
+def test_without_noise_it_counts_exactly_what_simulate_counts(names, tmp_path):
+    truth = truth_of(tmp_path, hidden(*names))
     rows = simulate(plan_of(tmp_path, replicates=1), truth.laws, MACHINE).rows
     assert np.array_equal(drive_rows(emulate_rig(truth), rows), rows["steps"])
 

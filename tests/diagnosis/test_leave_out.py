@@ -163,7 +163,8 @@ def test_held_out_errors_are_those_of_the_whole_selection_repeated(problem):
 def test_a_law_for_unknown_structure_is_searched_anew_in_each_fold():
     """Without the search for causes, whose answer is clear; as in the search repeated."""
     log = hide("session", ("unknown:product",), 25, seed=5, forms={"unknown:product": "load and hours"})
-    problem, _ = problem_from_log(read_hidden(log))
+    causes = [cause for cause in library() if cause.name in FEW]
+    problem, _ = problem_from_log(read_hidden(log), causes)
     selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
     findings = size_findings(selection, selection.problem, ALPHA)
     assert [one.cause for one in findings] == [UNKNOWN]

@@ -49,11 +49,16 @@ def test_errors_are_those_of_weighted_least_squares_under_other_noise(named, mon
 
 
 def test_beside_memory_errors_are_those_under_correlated_noise(monkeypatch):
-    """A cause that changes little from one traverse to the next is known less well."""
+    """A cause that changes little from one traverse to the next is known less well.
+
+    Memory of both is likelier than the cause alone, but not than the cause and memory of the rest.
+    """
     hidden = hide("session", ("recoil-axis", "unknown:memory"), 20.0, seed=1)
     found = diagnose(read_hidden(hidden), gain=False)
     selection = found.selection
     assert [one.cause for one in selection.selected] == ["recoil-axis", "unknown"]
+    for one, true in zip(found.findings, hidden.truth["effects"], strict=True):
+        assert one.effect.low < true["effect_rms_pct"] / 100 < one.effect.high
     problem, q = selection.problem, len(selection.fit.values)
     monkeypatch.setattr(effect_interval, "expect_noise", lambda *_: problem)
     coefficient = selection.selected[1].misfit.best_hypothesis("unknown").coefficient

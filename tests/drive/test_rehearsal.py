@@ -32,7 +32,7 @@ def test_errors_of_other_truths_are_as_large_as_their_covariance_says(fitted):
 
     The sum over the drives lies between the ends of 99.8 % of its distribution.
     """
-    drives = 32
+    drives = 16
     ends = [
         ssf.rehearse_drive(fitted, START, [(0, 30, 30, -30), (0.6, 0, 0, 0)], seed=k) for k in range(drives)
     ]

@@ -89,7 +89,7 @@ def stage_cases(logs: int, first: int = 0) -> Iterator[StageCase]:
 def make_log(case: StageCase, joints: Collection[int] = (1, 2, 3)) -> ssf.Log:
     """The traverses of some joints in the log of a case, written and read."""
     design = "many" if case.change == "friction:humidity" else "session"
-    stage = Stage(case.regime, Bristles() if case.lugre else None)
+    stage = Stage(case.regime, Bristles() if case.lugre else None, bristled=joints)
     table = drive_stage(design, stage, case.change, SIZE, seed=case.seed).table
     with TemporaryDirectory() as folder:
         path = Path(folder) / "log.csv"

@@ -127,15 +127,6 @@ def test_a_jump_in_one_session_is_no_uneven_noise_beside_another_cause(cause, se
     assert set(found.found) == {cause, "session-jump"}
 
 
-def test_a_cause_is_found_that_structure_beside_it_would_take_up():
-    """Memory of both is likelier than the cause alone, but not than the cause and memory of the rest."""
-    hidden = hide("session", ("recoil-axis", "unknown:memory"), 20.0, seed=1)
-    found = ssf.diagnose(read_hidden(hidden), gain=False).findings
-    assert [one.cause for one in found] == ["recoil-axis", "unknown"]
-    for one, true in zip(found, hidden.truth["effects"], strict=True):
-        assert one.effect.low < true["effect_rms_pct"] / 100 < one.effect.high
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize(("noise", "seed"), [("gaussian", 54019), ("gaussian", 54010)])
 def test_structure_without_a_name_gives_way_to_causes_that_show_beside_one_another(noise, seed):

@@ -442,7 +442,8 @@ def test_mutated_logs_are_refused_or_read_whole_and_fitted(folder):
     assert 0 < sum(outcome) < len(outcome)
 
 
-@pytest.mark.parametrize("seed", [25, 258, 324])  # as many parameters as rows, and different stretches
+# As many parameters as rows, and different stretches.
+@pytest.mark.parametrize("seed", [25, 258, pytest.param(324, marks=pytest.mark.nightly)])
 def test_logs_that_leave_no_scatter_are_fitted_all_the_same(folder, seed):
     assert try_mutated_log(seed, folder)
 

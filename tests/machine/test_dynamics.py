@@ -1,21 +1,12 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import sympy as sp
 
-from stickslip_fit.errors import InputError
 from stickslip_fit.machine import (
-    Link,
     coriolis_matrix,
-    forward,
-    full_load,
     gravity_forces,
     gravity_scale,
     inertia_matrix,
-    joint_forces,
-    tip_load,
-    vertical_in_base,
 )
 
 Q = sp.symbols("q1:4")
@@ -156,60 +147,12 @@ def test_gravity_is_the_full_load_times_its_scale(arm, states):
         assert worst == pytest.approx(np.abs(gravity_scale(arm, row)), rel=2e-3)
 
 
-def test_a_tip_force_does_the_joints_work(arm, states):
-    q = states[0]
-    rng = np.random.default_rng(4)
-    force, step = rng.normal(size=(2, *q.shape))
-    h = 1e-6
-    by_joints = np.sum(joint_forces(arm, q, force) * step, axis=1)
-    by_tip = np.sum(force * (forward(arm, q + h * step) - forward(arm, q - h * step)), axis=1) / (2 * h)
-    assert by_joints == pytest.approx(-by_tip, rel=1e-7)
-
-
-def with_mass_at_tip(arm, mass):
-    """The arm with `mass` as part of its hand."""
-    hand = arm.links[2]
-    com = hand.mass * hand.com / (hand.mass + mass)
-    return replace(arm, links=(*arm.links[:2], Link(hand.mass + mass, com, hand.inertia)))
-
-
-def test_a_weight_on_the_tip_bears_like_one_more_mass(arm, states):
-    q, _, theta, psi = states
-    weight = -0.002 * 9.80665 * vertical_in_base(theta, psi)
-    more = gravity_forces(with_mass_at_tip(arm, 0.002), q, theta, psi) - gravity_forces(arm, q, theta, psi)
-    assert joint_forces(arm, q, weight) == pytest.approx(more, rel=1e-10, abs=1e-17)
-
-
-@pytest.mark.parametrize("joint", [1, 2, 3])
-def test_a_tip_load_adds_to_the_gravity_load(arm, states, joint):
-    q, _, theta, psi = states
-    weight = -0.002 * 9.80665 * vertical_in_base(theta, psi)
-    total = gravity_forces(with_mass_at_tip(arm, 0.002), q, theta, psi)[:, joint - 1]
-    load = full_load(joint, q[:, 0], q[:, 1], theta, psi) + tip_load(arm, joint, q, weight)
-    assert load * gravity_scale(arm, q)[:, joint - 1] == pytest.approx(total, rel=1e-10, abs=1e-15)
-
-
-def test_a_balanced_joint_gives_no_scale(arm):
-    weightless_elbow = replace(
-        arm, l2=0.016, links=(arm.links[0], replace(arm.links[1], com=0.0), arm.links[2])
-    )
-    with pytest.raises(InputError, match="balanced about joint 2"):
-        tip_load(weightless_elbow, 2, [0.0, -1.0, 0.0], [0.001, 0.0, 0.0])
-
-
-@pytest.mark.parametrize("joint", [0, 4])
-def test_a_joint_that_is_none(arm, joint):
-    with pytest.raises(ValueError, match="none of 1, 2, 3"):
-        tip_load(arm, joint, [0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
-
-
 def test_many_states_at_once(arm, states):
     q, qdot, theta, psi = (part[:6].reshape(2, 3, *part.shape[1:]) for part in states)
     for all_at_once, one in (
         (inertia_matrix(arm, q), inertia_matrix(arm, q[1, 2])),
         (coriolis_matrix(arm, q, qdot), coriolis_matrix(arm, q[1, 2], qdot[1, 2])),
         (gravity_forces(arm, q, theta, psi), gravity_forces(arm, q[1, 2], theta[1, 2], psi[1, 2])),
-        (joint_forces(arm, q, qdot), joint_forces(arm, q[1, 2], qdot[1, 2])),
     ):
         assert all_at_once[1, 2] == pytest.approx(one, rel=1e-15)
     assert coriolis_matrix(arm, q, qdot[0, 0]).shape == (2, 3, 3, 3)

@@ -3,18 +3,12 @@ import pytest
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
-from stickslip_fit.machine import forward, full_load, mean_load, published_load, vertical_in_base
+from stickslip_fit.machine import forward, full_load, mean_load, published_load
 
 
 def base(theta, psi):
     """R = Rx(theta) Ry(psi), as scipy turns things."""
     return Rotation.from_euler("XY", np.stack([theta, psi], axis=-1))
-
-
-def test_up_is_the_world_s_vertical_turned_back(states):
-    _, _, theta, psi = states
-    expected = base(theta, psi).inv().apply([0.0, 0.0, 1.0])
-    assert vertical_in_base(theta, psi) == pytest.approx(expected, abs=1e-15)
 
 
 @pytest.mark.parametrize("joint", [1, 2, 3])

@@ -10,11 +10,11 @@ from stickslip_fit.estimation.with_causes import FixedCauseLaw
 from stickslip_fit.laws import Base, Elbow, Prismatic
 from stickslip_fit.machine import load_machine
 from stickslip_fit.moves import (
+    DriveCommand,
     TrueLaws,
     calibrated_arm,
     dead_reckon,
     draw_random_paths,
-    plan_drives,
     plan_steps,
     position_after,
     simulate_open_loop,
@@ -23,7 +23,6 @@ from stickslip_fit.moves import (
     straight_path,
 )
 from stickslip_fit.simulation import step_through
-from tests.conftest import CALIBRATION
 from tests.conftest import Truth as ByHand
 
 MACHINE = load_machine()
@@ -197,45 +196,17 @@ def test_a_users_drives_and_those_of_many_moves_agree(arm):
     path = straight_path(
         arm.machine, [0.3, -1.4, 0.004], [0.0, 0.6, -0.8], 2e-3, n_segments=4, theta=-0.3, psi=0.2
     )
-    drives = plan_drives(arm, path)
     laws = {joint: fit.law for joint, fit in arm.result.joints.items()}
     true = TrueLaws((arm.session,), laws, {group: arm.law(*group)[1] for group in GROUPS})
     steps = commanded(path, true)
-    assert [drive.steps for drive in drives] == steps[steps > 0].tolist()
+    numbers = steps[steps > 0].astype(int).tolist()
+    drives = [
+        DriveCommand(segment.joint, segment.direction, number)
+        for segment, number in zip(path.segments, numbers, strict=True)
+    ]
     found = dead_reckon(arm, path.joint_positions[0, 0], drives)
     assert found.q == pytest.approx(simulate_open_loop(path, true, steps)[0, 0], abs=1e-10)
     assert np.abs(found.q - path.joint_positions[0, -1]) == pytest.approx(0.0, abs=6e-5)
-    with pytest.raises(InputError, match="one move at a time"):
-        plan_drives(arm, draw_random_paths(arm.machine, 2, seed=1))
-
-
-def test_a_users_drives_make_up_for_each_reversal(campaign, read_table):
-    """Along a chord, joint 3 first goes in and then out again."""
-    log = read_table(campaign(settings=CALIBRATION + CALIBRATION[::-1]))
-    causes = [cause for cause in library() if cause.name == "reversal-loss"]
-    usual = calibrated_arm(fit_least_squares(log))
-    arm = calibrated_arm(with_loss(fit_least_squares(log, causes=causes), 30.0))
-    start = np.array([0.0, -1.25, 0.006])
-    middle = -1.25 + 0.04
-    way = np.array([-np.cos(middle), 0.0, -np.sin(middle)])
-    chord = straight_path(arm.machine, start, way, 2 * 0.0435 * np.sin(0.04), n_segments=2)
-    assert [drive.joint for drive in plan_drives(arm, chord)] == [2, 3, 2, 3]
-    more = [
-        one.steps - other.steps
-        for one, other in zip(plan_drives(arm, chord), plan_drives(usual, chord), strict=True)
-    ]
-    assert more == pytest.approx([0, 0, 0, 30], abs=2)
-
-
-def with_loss(result, steps):
-    """The result, as if it had found that so many steps are lost at a reversal."""
-    joints = {
-        joint: replace(
-            fit, values=np.where(np.arange(fit.values.shape[1]) == fit.values.shape[1] - 1, steps, fit.values)
-        )
-        for joint, fit in result.joints.items()
-    }
-    return replace(result, joints=joints)
 
 
 def test_positions_of_many_rows_are_those_of_each():

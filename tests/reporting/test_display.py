@@ -139,7 +139,9 @@ def test_a_log_shows_what_was_driven(campaign, read_page, read_table):
 
 @pytest.fixture(scope="module")
 def posterior(months):
-    return fit_bayes(months.log.select(months.log.rows["session"] > "2012-03-10"), progress=False)
+    return fit_bayes(
+        months.log.select(months.log.rows["session"] > "2012-03-10"), target_ess=400, progress=False
+    )
 
 
 def test_a_posterior_shows_its_draws_quality_and_its_priors(posterior, read_page):

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.anova import analyze_variance
+from stickslip_fit.causes import Drift, ThermalWarmUp
 from stickslip_fit.causes.proposed import SmoothTerm
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.errors import InputError
@@ -34,7 +35,7 @@ def made(campaign, fitted):
 
 @pytest.fixture(scope="module")
 def found(made):
-    return diagnose(made.log, alpha=0.02)
+    return diagnose(made.log, causes=[Drift(), ThermalWarmUp()], alpha=0.02)
 
 
 @pytest.fixture(scope="module")

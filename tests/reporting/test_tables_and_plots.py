@@ -8,6 +8,7 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit import InputError
+from stickslip_fit.causes import Drift, ThermalWarmUp
 
 TO_UNIT = {"nm": 1e9, "µrad": 1e6, "µrad/mm": 1e3, "1": 1.0}
 
@@ -74,12 +75,12 @@ def test_an_unknown_column_is_refused_with_a_guess(whole):
 
 def test_a_diagnosis_draws_its_first_finding_or_all_residuals(whole):
     third = whole.log.select(whole.log.rows["joint"] == 3)
-    quiet = ssf.diagnose(third, gain=False)
+    quiet = ssf.diagnose(third, causes=[Drift(), ThermalWarmUp()], gain=False)
     assert quiet.verdict == "nothing wrong"
     assert len(quiet.plot()) > 3, "a panel for each quantity"
     rows = third.rows.copy()
     rows["steps"] = (rows["steps"] * (1 + 0.03 * rows["session_seconds"] / 3600)).round().astype(int)
-    found = ssf.diagnose(replace(third, rows=rows), gain=False)
+    found = ssf.diagnose(replace(third, rows=rows), causes=[Drift(), ThermalWarmUp()], gain=False)
     assert {axes.get_xlabel() for axes in found.plot()} >= {"hours in session"}
     scales = found.parameters["unit"].map({"%": 100.0, "%/h": 360_000.0, "h": 1 / 3600, "min": 1 / 60})
     assert found.parameters["estimate"].to_numpy() == pytest.approx(found.si.parameters["estimate"] * scales)

@@ -91,14 +91,14 @@ def test_the_likelihood_and_its_slopes_are_those_of_the_covariance():
 
 def test_short_sessions_do_not_make_the_autocorrelation_too_small():
     found, plain = [], []
-    for seed in range(12):
+    for seed in range(6):
         rows = signal(np.random.default_rng(seed), "0.9", 5, 60)
         problem, _ = problem_from_table(rows, LAW, roles=TableRoles(**ROLES))
         residual = problem.linearize().residual
         plain.append(residual[1:] @ residual[:-1] / (residual @ residual))
         found.append(problem.with_autocorrelation().correlation.sum())
     assert np.mean(plain) < 0.85
-    assert np.mean(found) == pytest.approx(0.9, abs=0.03)
+    assert np.mean(found) == pytest.approx(0.9, abs=0.03)  # two and a half standard errors of six
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_short_sessions_do_not_make_the_autocorrelation_too_small():
 )
 def test_the_order_is_that_of_the_noise(kind, order):
     orders = []
-    for seed in range(6):
+    for seed in range(3):
         rows = signal(np.random.default_rng(seed), kind, 1, 400)
         problem, _ = problem_from_table(rows, LAW, roles=TableRoles(**ROLES))
         orders.append(len(problem.with_autocorrelation().correlation))
@@ -157,7 +157,8 @@ def test_noise_that_swings_is_told_with_its_period():
     spots = sunspots.load_pandas().data
     law = ssf.Law("SUNACTIVITY ~ a", units={"YEAR": "years", "a": "1"})
     found = ssf.diagnose_table(spots, law, time="YEAR", gain=False)
-    assert found.table.noise_period == pytest.approx(10.6, abs=0.6)
+    assert "periodic-in-time" not in [cause.name for cause in found.selection.problem.causes]
+    assert found.table.noise_period == pytest.approx(10.8, abs=0.5)
     assert "swings with a period of about 10.6 years" in str(found.summary())
     rng = np.random.default_rng(4)
     white = ssf.diagnose_table(

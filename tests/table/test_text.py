@@ -28,7 +28,7 @@ def visible(page):
 def outlying():
     frame = bench(2)
     frame.loc[[50, 200], "F"] += 5.0
-    return diagnosed(frame)
+    return diagnosed(frame, gain=False)
 
 
 @pytest.fixture(scope="session")

@@ -34,7 +34,7 @@ time = "t"
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    bench(1, n=200).to_csv("bench.csv", index=False)
+    bench(1, n=100).to_csv("bench.csv", index=False)
     (tmp_path / "friction.toml").write_text(LAW, "utf-8")
     return tmp_path
 
