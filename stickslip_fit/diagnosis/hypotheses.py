@@ -395,11 +395,15 @@ def _couple_sessions(
     shared = np.zeros((n, sessions[0].shared_basis.shape[1]))
     for session in sessions:
         shared[session.rows] = session.shared_basis
+    projected = [
+        session.project(effects[session.rows].reshape(len(session), -1)).reshape(-1, *effects.shape[1:])
+        for session in sessions
+    ]
     hypotheses = []
     for k, name in enumerate(names):
         own = np.zeros((n, len(sessions), effects.shape[2]))
-        for place, session in enumerate(sessions):
-            own[session.rows, place] = session.project(effects[session.rows, k])
+        for place, (session, columns) in enumerate(zip(sessions, projected, strict=True)):
+            own[session.rows, place] = columns[:, k]
         columns = own.reshape(n, -1)
         hypotheses.append(make_hypothesis(name, None, None, columns - shared @ (shared.T @ columns)))
     return [one for one in hypotheses if one is not None]
