@@ -25,6 +25,7 @@ VARIANCE_TOL = 1e-6  # share of a hypothesis's variance below which a direction 
 EFFECT_TOL = 1e-6  # whitened norm; rounding noise of the projection
 ABSORBED = 2.0 * EFFECT_TOL  # whitened; a trial without a hypothesis and with a larger effect has failed
 MAX_COUPLED_SESSIONS = 6  # with more, one has too little of a shared parameter to matter
+SPARSE = 0.75  # share of rows with an effect, below which products leave out the others
 MAX_EFFECT = 1e100  # whitened; the squares of larger ones are no numbers
 AT_ONCE = 100  # directions whose rows are put in another order
 MAX_MISSING = 3  # samples in a row, as where a value is set aside, before noise that persists is lost
@@ -219,13 +220,14 @@ def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Arr
     """
     if not np.isfinite(effects).all() or np.abs(effects).max(initial=0.0) > MAX_EFFECT:
         return None
+    n, rows = len(effects), find_rows(effects)
+    effects = effects[rows]
     if effects.shape[1] == 1:
         length = float(np.linalg.norm(effects))
         if length < EFFECT_TOL:
             return None
-        block = (slice(None), effects / length)
-        one_sided = is_one_sided(version, values)
-        return Hypothesis(cause, version, values, len(effects), (block,), np.ones(1), length, one_sided)
+        block, one_sided = (rows, effects / length), is_one_sided(version, values)
+        return Hypothesis(cause, version, values, n, (block,), np.ones(1), length, one_sided)
     try:
         variance, right = np.linalg.eigh(effects.T @ effects)
     except np.linalg.LinAlgError:
@@ -236,7 +238,13 @@ def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Arr
     kept = variance > VARIANCE_TOL * total
     directions = effects @ right[:, kept] / np.sqrt(variance[kept])
     share, length = variance[kept] / total, float(np.sqrt(total))
-    return Hypothesis(cause, version, values, len(effects), ((slice(None), directions),), share, length)
+    return Hypothesis(cause, version, values, n, ((rows, directions),), share, length)
+
+
+def find_rows(effects: Array) -> IntArray | slice:
+    """The rows outside of which effects, shape (n, m), are zero; all where these are nearly all."""
+    acts = effects.any(axis=1)
+    return np.flatnonzero(acts) if np.count_nonzero(acts) < SPARSE * len(effects) else slice(None)
 
 
 def is_one_sided(version: Any, values: Array | None) -> bool:
@@ -395,11 +403,15 @@ def _couple_sessions(
     shared = np.zeros((n, sessions[0].shared_basis.shape[1]))
     for session in sessions:
         shared[session.rows] = session.shared_basis
+    projected = [
+        session.project(effects[session.rows].reshape(len(session), -1)).reshape(-1, *effects.shape[1:])
+        for session in sessions
+    ]
     hypotheses = []
     for k, name in enumerate(names):
         own = np.zeros((n, len(sessions), effects.shape[2]))
-        for place, session in enumerate(sessions):
-            own[session.rows, place] = session.project(effects[session.rows, k])
+        for place, (session, columns) in enumerate(zip(sessions, projected, strict=True)):
+            own[session.rows, place] = columns[:, k]
         columns = own.reshape(n, -1)
         hypotheses.append(make_hypothesis(name, None, None, columns - shared @ (shared.T @ columns)))
     return [one for one in hypotheses if one is not None]

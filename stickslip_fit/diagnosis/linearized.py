@@ -148,7 +148,7 @@ class LinearizedFit:
         """Whether no block has rows in both directions."""
         return all(np.ptp(self.direction_sign[rows]) == 0 for rows, _ in self.blocks)
 
-    @property
+    @cached_property
     def allows_opposite(self) -> bool:
         """Whether effects of opposite sign by direction are as large as the same without, once projected."""
         forward = self.direction_sign > 0

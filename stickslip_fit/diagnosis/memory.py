@@ -415,9 +415,11 @@ class AR1:
         """As of the `sequences`."""
         return self.sequences.before
 
-    def log_evidence(self, sums: LagSums, df: int) -> Array:
-        """Log restricted likelihood ratio to white noise, the size of the noise unknown; shape (k,)."""
-        price, share, counts = self._without_refit(sums, df)
+    def log_evidence(self, sums: LagSums, df: int, price: float, share: Array, counts: BoolArray) -> Array:
+        """Log restricted likelihood ratio to white noise, the size of the noise unknown; shape (k,).
+
+        `price`, `share` and `counts` are those of `without_refit`.
+        """
         log = price - 0.5 * df * np.log(share)
         if counts.any():
             some = sums if counts.mean() > MAX_FEW else sums.select(counts)
@@ -432,11 +434,7 @@ class AR1:
             )
         return np.asarray(log)
 
-    def needs_refit(self, sums: LagSums, df: int) -> bool:
-        """Whether the evidence of any log needs the calibration's refit."""
-        return bool(self._without_refit(sums, df)[2].any())
-
-    def _without_refit(self, sums: LagSums, df: int) -> tuple[float, Array, BoolArray]:
+    def without_refit(self, sums: LagSums, df: int) -> tuple[float, Array, BoolArray]:
         """Price of a stationary start, share of the squares that is left, and logs in which memory counts."""
         carried = self.coefficient
         share = 1.0 + (carried**2 * sums.diagonal - 2 * carried * sums.products) / sums.squares
@@ -461,13 +459,14 @@ class AR1:
 def log_memory_evidence(ar1s: Sequence[AR1], residuals: Array, df: int) -> list[Array]:
     """The evidence of each, shape (k,), in residuals, shape (n, k)."""
     sums = sum_lags((one.sequences for one in ar1s), residuals)
+    known = [one.without_refit(sums[id(one.sequences)], df) for one in ar1s]
     together: dict[int, list[AR1]] = {}
-    for one in ar1s:
-        if one.needs_refit(sums[id(one.sequences)], df):
+    for one, (_, _, counts) in zip(ar1s, known, strict=True):
+        if counts.any():
             together.setdefault(id(one.sequences), []).append(one)
     for own in together.values():
         own[0].sequences.refit(one.coefficient for one in own)
-    return [one.log_evidence(sums[id(one.sequences)], df) for one in ar1s]
+    return [one.log_evidence(sums[id(one.sequences)], df, *own) for one, own in zip(ar1s, known, strict=True)]
 
 
 def memory_alternatives(linearized: LinearizedFit) -> Iterator[AR1]:

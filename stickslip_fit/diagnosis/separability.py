@@ -76,18 +76,18 @@ def compute_cosines(ones: Sequence[Hypothesis | AR1], others: Sequence[Hypothesi
 def _multiply_directions(ones: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> Array:
     """Inner products of all directions, shape (directions of ones, of others)."""
     products = np.zeros([sum(len(one.prior_share) for one in side) for side in (ones, others)])
-    for own in group_directions(ones):
-        for other in group_directions(others):
-            place = np.ix_(own.place, other.place)
-            if isinstance(own.rows, slice):
-                inner = own.directions[:, other.rows] @ other.directions.T
-            elif isinstance(other.rows, slice):
-                inner = own.directions @ other.directions[:, own.rows].T
-            elif np.array_equal(own.rows, other.rows):
-                inner = own.directions @ other.directions.T
-            else:
+    if not products.size:
+        return products
+    n, groups = ones[0].n, group_directions(ones)
+    for other in group_directions(others):
+        place = np.full(n, -1)
+        place[other.rows] = np.arange(other.directions.shape[1])
+        for own in groups:
+            at = place[own.rows]
+            if not (both := at >= 0).any():
                 continue
-            products[place] = inner[np.ix_(own.index, other.index)]
+            inner = own.directions[:, both] @ other.directions[:, at[both]].T
+            products[np.ix_(own.place, other.place)] = inner[np.ix_(own.index, other.index)]
     return products
 
 

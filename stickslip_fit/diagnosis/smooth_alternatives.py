@@ -28,7 +28,13 @@ from stickslip_fit.causes.proposed import (
     carrier_values,
 )
 from stickslip_fit.causes.smooth import cosine_sequence, cosines, prior_sds
-from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, MAX_COUPLED_SESSIONS, Hypothesis, make_hypothesis
+from stickslip_fit.diagnosis.hypotheses import (
+    EFFECT_TOL,
+    MAX_COUPLED_SESSIONS,
+    Hypothesis,
+    find_rows,
+    make_hypothesis,
+)
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.laws import state_at
 from stickslip_fit.logs.history import FURTHER_HISTORY
@@ -355,12 +361,14 @@ class _Builder:
             own = [common * self.session_of[name][:, None] for name in version.sessions]
             columns += [np.sqrt(COMMON) * common, *(np.sqrt(1.0 - COMMON) * one for one in own)]
         projected = self.linearized.project(np.concatenate(columns, axis=1))
+        rows = find_rows(projected)
+        projected = projected[rows]
         variance, right = np.linalg.eigh(projected.T @ projected)
         kept = variance > MIN_VARIANCE * max(float(variance.sum()), EFFECT_TOL**2)
         if not kept.any():
             return None
         directions = projected @ (right[:, kept] / np.sqrt(variance[kept]))
-        return replace(version, common=COMMON), [_Subspace(slice(None), directions, variance[kept])]
+        return replace(version, common=COMMON), [_Subspace(rows, directions, variance[kept])]
 
     def subspace(
         self, effects: _Effects, sign: Array | None = None, rows: IntArray | None = None

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -39,9 +40,13 @@ class Groups:
     of_row: IntArray
 
     def __len__(self) -> int:
-        return len(self.table)
+        return self._number
 
-    @property
+    @cached_property
+    def _number(self) -> int:
+        return len(self.table)  # of a table it takes long, and every sum asks for it
+
+    @cached_property
     def sizes(self) -> IntArray:
         """Rows in each group, shape (g,)."""
         return np.bincount(self.of_row, minlength=len(self))

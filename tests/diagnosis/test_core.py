@@ -10,7 +10,7 @@ from stickslip_fit.causes import Drift, ThermalWarmUp
 from stickslip_fit.diagnosis.effect_interval import noncentral_tail, strength_interval
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 from stickslip_fit.diagnosis.linearized import fit_extended, linearize_fit
-from stickslip_fit.diagnosis.memory import AR1, Sequences, sum_lags
+from stickslip_fit.diagnosis.memory import AR1, Sequences, log_memory_evidence
 from stickslip_fit.diagnosis.misfit import STRENGTHS, batch_hypotheses, compute_misfit
 from stickslip_fit.diagnosis.noise import find_outliers
 from stickslip_fit.laws import Prismatic
@@ -79,8 +79,7 @@ def test_memory_is_judged_by_the_likelihood_of_what_calibration_leaves(rows, lin
         return multivariate_normal.logpdf(along, None, scale2 * inside)
 
     memory = AR1("unknown:memory", Sequences.of(before, basis, forward if way == "one" else None), carried)
-    sums = sum_lags([memory.sequences], residual[:, None])[id(memory.sequences)]
-    found = float(memory.log_evidence(sums, n - basis.shape[1])[0])
+    found = float(log_memory_evidence([memory], residual[:, None], n - basis.shape[1])[0][0])
     assert found == pytest.approx(best(root @ root.T) - best(np.eye(n)), rel=1e-6)
 
 

@@ -181,6 +181,11 @@ def test_cosines_are_those_of_the_angles_between_spans(rows, linearize):
     wide = [
         make_hypothesis("any", None, None, linearized.project(rng.standard_normal((n, m)))) for m in (1, 3)
     ]
+    # In some rows only: of these, others have some, all or none.
+    for some in (slice(0, n // 3), slice(n // 5, n // 2), slice(n // 2, n)):
+        column = np.zeros((n, 1))
+        column[some] = rng.standard_normal((len(column[some]), 1))
+        wide.append(make_hypothesis("some", None, None, column))
     every = [*own, *single, *wide]
     expected = [
         [np.linalg.svd(one.directions.T @ other.directions, compute_uv=False)[0] for other in every]
