@@ -45,7 +45,7 @@ def make_log(folder: Path, seed: int, effect: float) -> Diagnosis:
                 count *= np.exp(NOISE * rng.standard_normal() - effect * volts)
                 ends = (low, high) if direction == "+" else (high, low)
                 rows.append((f"day {session}", 1, direction, round(count), 1, *ends, 60 + volts))
-    names = "session joint direction steps check_every from_deg to_deg supply_V".split()
+    names = ["session", "joint", "direction", "steps", "check_every", "from_deg", "to_deg", "supply_V"]
     pd.DataFrame(rows, columns=names).round(3).to_csv(folder / "log.csv", index=False)
     (folder / "stage.toml").write_text(MACHINE, encoding="utf-8")
     return diagnose(read_log(folder / "log.csv", machine=load_machine(folder / "stage.toml")), gain=False)
