@@ -194,6 +194,7 @@ def _select(
         *others, unknown = chosen
         beside = find_beside_unknown(problem, searched, unknown, others, level)
         if beside.found is not None:
+            combinations.append((beside.found.first.cause, *beside.found.others))
             return [*others, beside.found.first]
         return [*others, replace(unknown, ahead_of_pairs=min(unknown.ahead_of_pairs, beside.behind))]
 

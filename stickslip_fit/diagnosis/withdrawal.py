@@ -54,12 +54,15 @@ def withdraw_causes(
     )
     before = [one for one in findings if one.withdrawn]
     withdrawn += [one for finding in before for one in finding.withdrawn]
-    # What has no name but was found first does not rest on what is withdrawn.
-    before_it = selection.selected[: selection.selected.index(first)]
+    # What has no name but was found first, or beside it, does not rest on what is withdrawn.
+    beside = selection.selected[: selection.selected.index(first)]
+    if UNKNOWN in first.together_with:
+        beside = selection.selected
     others = [
         one
         for one in selection.selected
-        if one.cause not in (*names, UNKNOWN) or (one in before_it and one.version is not None)
+        if one.cause not in (*names, UNKNOWN)
+        or (one.cause == UNKNOWN and one in beside and one.version is not None)
     ]
     smaller = refit_selection(selection, (*others, unknown))
     kept = [one for one in findings if selection.behind(one) in others]
