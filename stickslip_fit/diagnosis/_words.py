@@ -244,9 +244,9 @@ def describe_company(finding: Finding) -> str:
     >>> describe_company(Finding("drift", None, (), 0.001, (3,), size, (), together_with=("wear",)))
     '; found together with wear: neither is the likeliest alone'
     """
-    others = finding.together_with
+    others = [name for name in finding.together_with if name != UNKNOWN]
     if not others:
-        return ""
+        return "; it shows beside structure without a name" if finding.together_with else ""
     alone = "neither" if len(others) == 1 else "none of them"
     return f"; found together with {join_words(others)}: {alone} is the likeliest alone"
 

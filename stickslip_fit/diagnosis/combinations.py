@@ -313,7 +313,10 @@ def penalised_likelihood(problem: DiagnosisProblem, fit: ExtendedFit) -> float:
 def name_combinations(
     selected: Sequence[SelectedCause], combinations: Sequence[Sequence[str]]
 ) -> list[SelectedCause]:
-    """The selected causes, each with those of its combinations that were selected as well."""
+    """The selected causes, each with those of its combinations that were selected as well.
+
+    Structure without a name would have been found by itself.
+    """
     names = [one.cause for one in selected]
     return [
         replace(
@@ -321,7 +324,7 @@ def name_combinations(
             together_with=tuple(
                 name
                 for name in names
-                if name != one.cause and any({name, one.cause} <= {*some} for some in combinations)
+                if name != one.cause != UNKNOWN and any({name, one.cause} <= {*some} for some in combinations)
             ),
         )
         for one in selected

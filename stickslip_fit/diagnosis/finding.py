@@ -121,7 +121,7 @@ class Finding:
     withdrawn : tuple of Finding
         For ``unknown``: those causes as they were found; the effect is then that of the first.
     together_with : tuple of str
-        Other causes without which this one would not have been found.
+        Other causes, or ``unknown``, without which this one would not have been found.
     term : str
         For ``unknown``: the formula of the term that is proposed for it; empty without one.
     explains : mapping of str to float

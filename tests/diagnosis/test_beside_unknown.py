@@ -57,6 +57,7 @@ def test_a_cause_is_named_beside_profiles_four_times_the_noise(tmp_path: Path) -
     voltage, unknown = diagnosis.findings
     assert (voltage.cause, unknown.cause) == ("supply-voltage", "unknown")
     assert voltage.effect.low < 0.05 < voltage.effect.high
+    assert voltage.together_with == ("unknown",)
     assert unknown.carrier.startswith("position")
     assert diagnosis.repeatability == pytest.approx(NOISE, rel=0.25)
 
