@@ -147,7 +147,10 @@ def find_beside_unknown(
     to_beat = evidence[UNKNOWN] + float(np.log(len(evidence) / level))
     behind = to_beat - together[best]
     if behind > 0 or assess_support(searched, beside, best).too_narrow:
-        return PairSearch(None, max(behind, 0.0))
+        # Beside such structure every effect has some evidence, which other rows hardly turn into enough.
+        least = evidence[UNKNOWN] + PAIR_MIN_LOG_BAYES_FACTOR
+        near = [value for cause, value in together.items() if cause != UNKNOWN and value > least]
+        return PairSearch(None, max(to_beat - max([*near, *before.values()], default=-np.inf), 0.0))
     test = replace(shown, log_evidence_by_cause=together)
     one = make_selected(test, form_cause_set(test, best))
     if shows_alone:

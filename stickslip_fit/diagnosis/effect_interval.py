@@ -32,7 +32,7 @@ QUANTILES_95 = (0.025, 0.5, 0.975)
 MAX_CONDITIONAL_STRENGTH = 12.0  # beyond, the alarm was certain and conditioning changes nothing
 DIFFERENCE_STEP = 1e-3  # of a parameter's scale
 MIN_EXCESS_SD = 2.0  # standard deviations of a chi-square of noise, for effects in alternative forms
-FORM_RANK_TOL, RANK_TOL = 0.05, 1e-10
+FORM_RANK_TOL, RANK_TOL, SINGULAR_TOL = 0.05, 1e-10, 1e-14
 EFFECT_RANK_TOL = 1e-4  # of directions of the parameters along which an effect hardly changes
 MIN_LENGTH = 1e-12
 UNIFORM_PRECISION = 12.0  # inverse variance of a uniform distribution of width 1
@@ -181,11 +181,15 @@ def _linearize_causes(
     fit = selection.fit
     linearized = problem.linearize_extended(replace(fit, at_bound=np.ones_like(fit.at_bound)))
     slopes = linearized.project(linearized.whiten(compute_cause_jacobian(selection)))
-    prior = _prior_information(selection)
-    size = np.sqrt(np.maximum(np.sum(slopes**2, axis=0) + prior, MIN_LENGTH))
-    information = (slopes.T @ slopes + np.diag(prior)) / np.outer(size, size)
-    inverse = np.linalg.pinv(information, rcond=rank_tol, hermitian=True)
-    return linearized, slopes, inverse / np.outer(size, size)
+    prior = _prior_information(selection, slopes)
+    return linearized, slopes, _invert(slopes.T @ slopes + np.diag(prior), rank_tol)
+
+
+def _invert(information: Array, rank_tol: float) -> Array:
+    """The inverse of an information matrix, shape (q, q), in which dependent parameters count as known."""
+    size = np.sqrt(np.maximum(np.diag(information), MIN_LENGTH))
+    inverse = np.linalg.pinv(information / np.outer(size, size), rcond=rank_tol, hermitian=True)
+    return np.asarray(inverse / np.outer(size, size))
 
 
 def _covariance(selection: Selection, slopes: Array, inverse: Array) -> Array:
@@ -198,13 +202,21 @@ def _covariance(selection: Selection, slopes: Array, inverse: Array) -> Array:
             slopes = memory.correlate(slopes)
         elif isinstance(one.version, CarryOverTerm):  # beside which the noise is that of the innovations
             slopes = memory.correlate(slopes) / np.sqrt(1.0 - memory.coefficient**2)
-    return np.asarray(inverse @ (slopes.T @ slopes + np.diag(_prior_information(selection))) @ inverse)
+    return np.asarray(
+        inverse @ (slopes.T @ slopes + np.diag(_prior_information(selection, slopes))) @ inverse
+    )
 
 
-def _prior_information(selection: Selection) -> Array:
-    """What is known of each parameter beforehand, (q,): its prior, and that it is between its bounds."""
+def _prior_information(selection: Selection, slopes: Array) -> Array:
+    """What is known of each parameter beforehand, shape (q,): its prior.
+
+    Of one of which the rows, by `slopes`, say less than that it is between its bounds, that, too.
+    """
+    prior = 1.0 / selection.fit.prior_sd**2
     lower, upper = _bounds(selection)
-    return np.asarray(1.0 / selection.fit.prior_sd**2 + UNIFORM_PRECISION / (upper - lower) ** 2)
+    variance = np.diag(_invert(slopes.T @ slopes + np.diag(prior), SINGULAR_TOL))
+    bounded = UNIFORM_PRECISION / (upper - lower) ** 2
+    return np.asarray(np.where(variance * bounded > 1.0, prior + bounded, prior))
 
 
 def _bounds(selection: Selection) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.effect_size import size_findings
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
+from tests.hidden.study import Case, make
 
 WARM_UP, HIDDEN = "thermal-warm-up", "unknown:product"
 
@@ -62,3 +63,16 @@ def test_what_the_choice_of_a_law_leaves_open_adds_to_errors_alone(both):
     assert after.estimate == pytest.approx(before.estimate, rel=0.1)
     assert after.low <= truth <= after.high
     assert after.high - after.low > 1.2 * (before.high - before.low)
+
+
+def test_a_spot_narrower_than_can_be_told_has_the_size_that_it_has():
+    """Its width and depth are known as a product alone, and its effect is known all the same."""
+    hidden = make(Case("single", "many", "gaussian", 12.0, 270011))
+    (finding,) = diagnose(read_hidden(hidden), gain=False).findings
+    (effect,) = hidden.truth["effects"]
+    assert finding.cause == effect["cause"] == "worn-spot"
+    assert finding.effect.low < effect["effect_rms_pct"] / 100 < finding.effect.high
+    assert finding.effect.high < 0.002
+    depth, _, width = finding.parameters
+    assert depth.size.low < effect["amplitude"] * -1 < depth.size.high
+    assert width.size.low < 0.3e-3 < width.size.high
