@@ -132,21 +132,18 @@ def find_beside_unknown(
     misfit = unknown.misfit
     assert misfit is not None
     evidence = misfit.log_evidence_by_cause
-    has_shape = any(
-        isinstance(one, Hypothesis) for one in misfit.hypotheses if classify_cause(one) == UNKNOWN
-    )
-    if problem.autocorrelation is not None or len(evidence) < 2 or not has_shape:
+    beside = None if problem.autocorrelation is not None else _test_beside_unknown(misfit, searched.df)
+    if beside is None:
         return PairSearch(None)
-    df = problem.linearize().df
-    before, (after, tests) = _evidence_before_unknown(misfit, df), _test_beside_unknown(misfit, df)
+    before, (after, left) = _evidence_before_unknown(misfit, searched.df), beside
     together = {**after.log_evidence_by_cause, UNKNOWN: evidence[UNKNOWN]}
     together |= {cause: max(value, together[cause]) for cause, value in before.items()}
     best = max(evidence.keys() - {UNKNOWN}, key=lambda cause: together[cause])
     shows_alone = before.get(best, -np.inf) == together[best]
-    shown, beside = (misfit, misfit) if shows_alone else (after, tests[0])
+    shown, rest = (misfit, misfit) if shows_alone else (after, left)
     to_beat = evidence[UNKNOWN] + float(np.log(len(evidence) / level))
     behind = to_beat - together[best]
-    if behind > 0 or assess_support(searched, beside, best).too_narrow:
+    if behind > 0 or assess_support(searched, rest, best).too_narrow:
         # Beside such structure every effect has some evidence, which other rows hardly turn into enough.
         least = evidence[UNKNOWN] + PAIR_MIN_LOG_BAYES_FACTOR
         near = [value for cause, value in together.items() if cause != UNKNOWN and value > least]
@@ -154,8 +151,8 @@ def find_beside_unknown(
     test = replace(shown, log_evidence_by_cause=together)
     one = make_selected(test, form_cause_set(test, best))
     if shows_alone:
-        _, _, left = _next_cause(extend_problem(problem, [*selected, one]), [*selected, one])
-        behind = to_beat - evidence[best] - left
+        _, _, more = _next_cause(extend_problem(problem, [*selected, one]), [*selected, one])
+        behind = to_beat - evidence[best] - more
     return PairSearch(Combination(one, (UNKNOWN,)) if behind < 0 else None, behind)
 
 
@@ -174,8 +171,10 @@ def _evidence_before_unknown(misfit: Misfit, df: int) -> dict[str, float]:
     return {cause: evidence[cause] + float(more) for cause, more in zip(causes, beside, strict=True)}
 
 
-def _test_beside_unknown(misfit: Misfit, df: int) -> tuple[Misfit, list[Misfit]]:
-    """The test with the evidence of each cause beside unknown structure; and tests of what each shape leaves.
+def _test_beside_unknown(misfit: Misfit, df: int) -> tuple[Misfit, Misfit] | None:
+    """The test with each cause's evidence beside unknown structure, and of what its likeliest shape leaves.
+
+    None without a cause, or without a shape of unknown structure.
 
     Under the covariance that a likely shape of such structure gives the residuals, effects lose what it may
     have taken up (C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for Machine Learning, 2006, sect.
@@ -193,6 +192,8 @@ def _test_beside_unknown(misfit: Misfit, df: int) -> tuple[Misfit, list[Misfit]]
         k: one for k, one in enumerate(misfit.hypotheses) if isinstance(one, Hypothesis) and is_unknown[k]
     }
     likeliest = sorted(shapes, key=lambda k: -(misfit.log_evidence[k] + weight[k]))[:MAX_LIKELY_SHAPES]
+    if not likeliest or not known:
+        return None
     tests = []
     for place in likeliest:
         shape, directions = shapes[place], shapes[place].directions
@@ -211,7 +212,7 @@ def _test_beside_unknown(misfit: Misfit, df: int) -> tuple[Misfit, list[Misfit]]
         hypotheses = tuple(shown.values())
         tests.append(replace(misfit, residual=residual, hypotheses=hypotheses, log_evidence=own_evidence))
     by_cause = average_by_cause(causes, weight, evidence)
-    return replace(misfit, log_evidence=evidence, log_evidence_by_cause=by_cause), tests
+    return replace(misfit, log_evidence=evidence, log_evidence_by_cause=by_cause), tests[0]
 
 
 def _next_cause(

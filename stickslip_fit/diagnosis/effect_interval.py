@@ -145,15 +145,15 @@ def _refit(selection: Selection) -> _Refit:
     parameter it would stand for a part of the effects, beyond any difference that the choice can make.
     """
     fit, problem = selection.fit, expect_noise(selection.problem, selection.linearized)
-    prior, chosen = 1.0 / fit.prior_sd**2, problem.with_laws_as_chosen
-    linearized, slopes, inverse = _linearize_causes(chosen, selection, EFFECT_RANK_TOL)
-    values = fit.values + inverse @ (slopes.T @ linearized.residual - prior * fit.values)
+    shrinkage, chosen = 1.0 / fit.prior_sd**2, problem.with_laws_as_chosen
+    linearized, slopes, prior, inverse = _linearize_causes(chosen, selection, EFFECT_RANK_TOL)
+    values = fit.values + inverse @ (slopes.T @ linearized.residual - shrinkage * fit.values)
     if problem.uncertain:
-        _, slopes, inverse = _linearize_causes(problem, selection, EFFECT_RANK_TOL)
+        _, slopes, prior, inverse = _linearize_causes(problem, selection, EFFECT_RANK_TOL)
     lower, upper = _bounds(selection)
     if np.any((values < lower) | (values > upper)):  # so far from the fit, its slopes say nothing
         values = fit.values
-    return _Refit(values, _covariance(selection, slopes, inverse))
+    return _Refit(values, _covariance(selection, slopes, prior, inverse))
 
 
 def expected_covariance(selection: Selection) -> Array:
@@ -166,15 +166,15 @@ def expected_covariance(selection: Selection) -> Array:
     if not selection.law_causes:
         return np.zeros((0, 0))
     problem = selection.problem
-    _, slopes, inverse = _linearize_causes(problem, selection, RANK_TOL)
+    _, slopes, prior, inverse = _linearize_causes(problem, selection, RANK_TOL)
     times = expect_noise(problem, selection.linearized).scale / problem.scale
-    return _covariance(selection, slopes * times[:, None], inverse)
+    return _covariance(selection, slopes * times[:, None], prior, inverse)
 
 
 def _linearize_causes(
     problem: DiagnosisProblem, selection: Selection, rank_tol: float
-) -> tuple[LinearizedFit, Array, Array]:
-    """The laws with causes, calibration projected out, the causes' slopes and inverse information.
+) -> tuple[LinearizedFit, Array, Array, Array]:
+    """The laws with causes, calibration projected out, the causes' slopes, prior and inverse information.
 
     Slopes are whitened, (n, q); the information, (q, q), is that of the rows and the parameters' priors.
     """
@@ -182,7 +182,7 @@ def _linearize_causes(
     linearized = problem.linearize_extended(replace(fit, at_bound=np.ones_like(fit.at_bound)))
     slopes = linearized.project(linearized.whiten(compute_cause_jacobian(selection)))
     prior = _prior_information(selection, slopes)
-    return linearized, slopes, _invert(slopes.T @ slopes + np.diag(prior), rank_tol)
+    return linearized, slopes, prior, _invert(slopes.T @ slopes + np.diag(prior), rank_tol)
 
 
 def _invert(information: Array, rank_tol: float) -> Array:
@@ -192,7 +192,7 @@ def _invert(information: Array, rank_tol: float) -> Array:
     return np.asarray(inverse / np.outer(size, size))
 
 
-def _covariance(selection: Selection, slopes: Array, inverse: Array) -> Array:
+def _covariance(selection: Selection, slopes: Array, prior: Array, inverse: Array) -> Array:
     """Of parameters estimated by slopes, (n, q), in units of the noise, which memory may correlate."""
     for one in selection.selected:
         memory = one.misfit.best_hypothesis(UNKNOWN) if one.cause == UNKNOWN and one.misfit else None

@@ -455,3 +455,8 @@ def _group_blocks(rows: pd.DataFrame, parts: Sequence[LawBlock]) -> Groups:
         keys[part.rows] = np.column_stack([np.full(len(part.rows), number), part.block])
     labels, of_row = unique_rows(keys)
     return Groups(pd.DataFrame(labels), of_row)
+
+
+def rms(values: Array) -> float:
+    """Root of the mean square of numbers."""
+    return float(np.sqrt(np.mean(values**2)))

@@ -34,7 +34,6 @@ import numpy as np
 
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._threads import one_blas_thread
-from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.cause_set import cause_probabilities
 from stickslip_fit.diagnosis.effect_size import size_findings
@@ -45,7 +44,7 @@ from stickslip_fit.diagnosis.gross_errors import (
     set_aside,
     with_gross_errors,
 )
-from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.linearized import LinearizedFit, rms
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
 from stickslip_fit.diagnosis.problem import DiagnosisProblem, problem_from_log
 from stickslip_fit.diagnosis.result import Diagnosis, choose_verdict
@@ -189,7 +188,7 @@ def diagnose_problem(
         findings=findings,
         p_value=selection.p_value,
         misfit=_rms_left(search),
-        repeatability=np.nan if search.too_small else _rms(row_sd),
+        repeatability=np.nan if search.too_small else rms(row_sd),
         inclusion=_inclusion_probabilities(selection, search.problem, search.untestable, alpha),
         untestable=search.untestable,
         alpha=alpha,
@@ -207,11 +206,7 @@ def _rms_left(search: _Search) -> float:
     linearized, outliers = search.linearized, search.selection.outliers
     if len(outliers):
         linearized = search.problem.without_rows(outliers).linearize()
-    return _rms(linearized.unwhiten(linearized.residual))
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return rms(linearized.unwhiten(linearized.residual))
 
 
 def _noise_properties(selection: Selection, findings: tuple[Finding, ...]) -> tuple[str, ...]:
@@ -315,7 +310,7 @@ def _testable_beside(
     Without replicates, whatever the law does not describe counts as noise until its cause is in the law.
     """
     left = selection.problem
-    if not selection.law_causes or _rms(left.scale) > NOISE_LEFT * _rms(linearized.scale):
+    if not selection.law_causes or rms(left.scale) > NOISE_LEFT * rms(linearized.scale):
         return set()
     asked = [cause.name for cause in problem.causes if unable.get(cause.name, NO_TRIALS) != NO_TRIALS]
     others = [cause.name for cause in problem.causes if cause.name not in asked]

@@ -54,7 +54,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     compute_finite_effects,
 )
 from stickslip_fit.diagnosis.influence import assess_support
-from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, ExtendedFit, LinearizedFit
+from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, ExtendedFit, LinearizedFit, rms
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, remove_structure
 from stickslip_fit.diagnosis.noise import NoiseEstimate, explains_more, find_outliers, find_runs
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
@@ -189,6 +189,13 @@ def _select(
         searched, names = absorb_unknown(extension, selected), name_explained(selected)
         return assess_residuals(searched, extension[0], n_bootstrap, rng, names, MAX_EXCEEDANCES)
 
+    def settle(extension: Extension, selected: Sequence[SelectedCause]) -> tuple[Extension, Misfit]:
+        """An extension and its test, in the noise without the structure that this finds."""
+        test = assess(extension, selected)
+        if test.p_value < level and (quieter := _quieten(extension, selected, test)):
+            return quieter, assess(quieter, selected)
+        return extension, test
+
     def give_way(chosen: Sequence[SelectedCause], searched: LinearizedFit) -> list[SelectedCause]:
         """A cause in the place of unknown structure that would end the search, if likelier beside such."""
         *others, unknown = chosen
@@ -241,14 +248,11 @@ def _select(
         if ends and not selected:  # nothing follows, and nothing else could be needless
             selected, (problem, fit, linearized) = chosen, extension
             break
-        last = assess(extension, chosen)
-        if last.p_value < level and not ends and (quieter := _quieten(extension, chosen, last)):
-            extension, last = quieter, assess(quieter, chosen)
+        extension, last = (extension, assess(extension, chosen)) if ends else settle(extension, chosen)
         if chosen[-1].cause == UNKNOWN and not ends and last.p_value >= level:
             chosen = give_way(chosen, searched)
             if chosen[-1].cause != UNKNOWN:
-                extension = extend_problem(problem, chosen)
-                last = assess(extension, chosen)
+                extension, last = settle(extend_problem(problem, chosen), chosen)
         is_named = chosen[-1].cause != UNKNOWN
         if is_named and (exchange := find_exchange(problem, chosen, extension, last, refits, level)):
             trial = [*chosen[:-1], exchange.first]
@@ -420,15 +424,11 @@ def _quieten(extension: Extension, selected: Sequence[SelectedCause], misfit: Mi
     noise, left = _estimate_noise_left(problem, absorb_unknown(extension, selected), misfit)
     # Which rows are noisy, residuals tell that structure followed as far as it could: no new weights.
     quieter = replace(problem, repeatability=noise.sd)
-    is_same = _rms(quieter.scale) > MAX_NOISE_LEFT * _rms(problem.scale)
+    is_same = rms(quieter.scale) > MAX_NOISE_LEFT * rms(problem.scale)
     # Of rows that the structure follows one by one, what is left tells nothing of the noise.
     if problem.autocorrelation is not None or is_same or np.mean(left.leverage) > MAX_MEAN_LEVERAGE:
         return None
     return quieter, fit, linearize_with_causes(quieter, fit, law_causes(selected))
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def predict_departures(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> Array:

@@ -420,6 +420,4 @@ class _Builder:
             columns[part.rows, first:last] = part.directions * np.sqrt(part.variance)
             first = last
         columns = columns if sign is None else columns * sign[:, None]
-        return make_hypothesis(
-            name, version, None, columns - self.shared_basis @ (self.shared_basis.T @ columns)
-        )
+        return make_hypothesis(name, version, None, self.linearized.project(columns))

@@ -31,7 +31,7 @@ from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength, 
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, joints_of_laws
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.lack_of_fit import LackOfFit
-from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.linearized import LinearizedFit, rms
 from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import (
     MAX_EXPLAINED,
@@ -141,7 +141,7 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
     inflation = float(np.sqrt(shape**2 @ ratio / max(float(shape @ shape), MIN_LENGTH)))
     components = _weigh_components(candidates, linearized, len(_alternatives(misfit, selected.cause)))
     nothing = [] if law is None else [_Component(None, np.zeros(0), np.zeros(0), 0.0)]
-    rms = _draw_rms(
+    sizes = _draw_rms(
         law,
         [*nothing, *components],
         inflation,
@@ -149,14 +149,14 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
         len(shape),
     )
     if law is not None and (lack := LackOfFit.of(linearized, law.strength)):
-        squares = lack.draw_squares(len(rms), np.random.default_rng(1))
-        rms = np.sqrt(rms**2 + squares / len(shape) * _rms(problem.scale) ** 2)
-    low, middle, high = (float(limit) for limit in np.quantile(rms, QUANTILES_95))
+        squares = lack.draw_squares(len(sizes), np.random.default_rng(1))
+        sizes = np.sqrt(sizes**2 + squares / len(shape) * rms(problem.scale) ** 2)
+    low, middle, high = (float(limit) for limit in np.quantile(sizes, QUANTILES_95))
     error = max((high - low) / (2.0 * Z_95), MIN_LENGTH)
     if middle / error > MAX_CONDITIONAL_STRENGTH:
         return Interval(middle, low, high)
     threshold = detection_threshold(selected, linearized.df, alpha)
-    threshold *= _rms(linearized.unwhiten(shape)) / max(float(np.linalg.norm(shape)), MIN_LENGTH)
+    threshold *= rms(linearized.unwhiten(shape)) / max(float(np.linalg.norm(shape)), MIN_LENGTH)
     return strength_interval(middle / error, 1, threshold / error).times(error)
 
 
@@ -259,10 +259,10 @@ def estimate_ar1_effect(linearized: LinearizedFit, ar1: AR1, baseline: Linearize
         left = linearized.project(series)
         kept = baseline.project(np.where(ar1.before[:, None] >= 0, series[ar1.before], 0.0))
         simulated.append(sign * _lag1_coefficient(left, ar1))
-        share.append(coefficient * _rms(kept) / _rms(left))
+        share.append(coefficient * rms(kept) / rms(left))
     limits = np.maximum.accumulate(np.quantile(simulated, QUANTILES_95, axis=1), axis=1)
     high, middle, low = (float(np.interp(observed, limit, share)) for limit in limits)
-    return Interval(middle, low, high).times(_rms(linearized.unwhiten(linearized.residual)))
+    return Interval(middle, low, high).times(rms(linearized.unwhiten(linearized.residual)))
 
 
 def _simulate_ar1(innovations: Array, ar1: AR1, coefficient: float) -> Array:
@@ -280,7 +280,3 @@ def _lag1_coefficient(residuals: Array, ar1: AR1) -> Array:
     """Of the regression of each row on the one before, (n, k) -> (k,)."""
     after, before = residuals[ar1.before >= 0], residuals[ar1.before[ar1.before >= 0]]
     return np.asarray(np.sum(after * before, axis=0) / np.sum(before**2, axis=0))
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -4,6 +4,7 @@ As of real motors: each session and direction has a profile of its own along the
 file's own code, and every traverse its own ends.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.diagnosis import Diagnosis, diagnose
+from stickslip_fit.diagnosis.finding import Gain
+from stickslip_fit.diagnosis.withdrawal import withdraw_causes
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
 
@@ -51,15 +54,30 @@ def make_log(folder: Path, seed: int, effect: float) -> Diagnosis:
     return diagnose(read_log(folder / "log.csv", machine=load_machine(folder / "stage.toml")), gain=False)
 
 
-def test_a_cause_is_named_beside_profiles_four_times_the_noise(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def diagnosis(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    """Of a log with a voltage."""
+    return make_log(tmp_path_factory.mktemp("voltage"), seed=3, effect=0.05)
+
+
+def test_a_cause_is_named_beside_profiles_four_times_the_noise(diagnosis: Diagnosis) -> None:
     """The voltage, of 12 standard errors if the profiles were known, is nothing within their 22 %."""
-    diagnosis = make_log(tmp_path, seed=3, effect=0.05)
     voltage, unknown = diagnosis.findings
     assert (voltage.cause, unknown.cause) == ("supply-voltage", "unknown")
     assert voltage.effect.low < 0.05 < voltage.effect.high
     assert voltage.together_with == ("unknown",)
     assert unknown.carrier.startswith("position")
     assert diagnosis.repeatability == pytest.approx(NOISE, rel=0.25)
+
+
+def test_profiles_stay_in_the_law_without_the_cause(diagnosis: Diagnosis) -> None:
+    """They would have been found by themselves."""
+    worse = Gain(0.06, 0.07, 0.05, -0.02, 0.0, pd.DataFrame())
+    findings = tuple(replace(one, gain=worse) for one in diagnosis.findings[:1]) + diagnosis.findings[1:]
+    selection, left = withdraw_causes(diagnosis.selection, findings, findings[:1], diagnosis.info)
+    assert [one.version is not None for one in left] == [True, False]
+    assert "supply-voltage is not named" in left[1].note
+    assert [one.cause for one in selection.law_causes] == ["unknown"]
 
 
 def test_profiles_alone_are_unknown_and_nothing_else(tmp_path: Path) -> None:
