@@ -136,7 +136,10 @@ def find_beside_unknown(
     if beside is None:
         return PairSearch(None)
     before, (after, left) = _evidence_before_unknown(misfit, searched.df), beside
-    together = {**after.log_evidence_by_cause, UNKNOWN: evidence[UNKNOWN]}
+    # Causes whose fit failed have no evidence any more.
+    together = {cause: after.log_evidence_by_cause[cause] for cause in evidence} | {
+        UNKNOWN: evidence[UNKNOWN]
+    }
     together |= {cause: max(value, together[cause]) for cause, value in before.items()}
     best = max(evidence.keys() - {UNKNOWN}, key=lambda cause: together[cause])
     shows_alone = before.get(best, -np.inf) == together[best]
@@ -185,7 +188,9 @@ def _test_beside_unknown(misfit: Misfit, df: int) -> tuple[Misfit, Misfit] | Non
     is_unknown = np.array([cause == UNKNOWN for cause in causes])
     evidence = np.where(is_unknown, misfit.log_evidence, -np.inf)
     known = {
-        k: one for k, one in enumerate(misfit.hypotheses) if isinstance(one, Hypothesis) and not is_unknown[k]
+        k: one
+        for k, (cause, one) in enumerate(zip(causes, misfit.hypotheses, strict=True))
+        if isinstance(one, Hypothesis) and cause != UNKNOWN and cause in misfit.log_evidence_by_cause
     }
     effects = [one.directions * np.sqrt(one.prior_share) for one in known.values()]
     shapes = {
