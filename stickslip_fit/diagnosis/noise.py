@@ -22,11 +22,13 @@ from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.misfit import TAIL_DF, StructureRemoved, log_likelihood_ratio
 from stickslip_fit.diagnosis.noise_shape import Skewness, fit_skewness
 from stickslip_fit.diagnosis.unevenness import (
+    MIN_FREE,
     Unevenness,
     estimate_unevenness,
     group_rows,
     log_student_t,
     residuals_of,
+    weighted_median,
 )
 
 # Heteroscedasticity
@@ -84,25 +86,26 @@ class Heteroscedasticity:
     mean_square: Array
 
 
-def estimate_heteroscedasticity(deviation: Array, kind: IntArray) -> Heteroscedasticity:
+def estimate_heteroscedasticity(deviation: Array, kind: IntArray, counts: Array) -> Heteroscedasticity:
     """Classify configurations as quiet or noisy by a two-component mixture.
 
-    `deviation` are residuals in units of the pooled noise, `kind` numbers the configuration of each row.
+    `deviation` are residuals in units of the pooled noise, each of which `counts` as part of a row; `kind`
+    numbers the configuration of each.
 
     Examples
     --------
     >>> rng = np.random.default_rng(1)
     >>> kind = np.repeat(np.arange(40), 15)
     >>> noise = np.where(kind < 12, 2.0, 1.0)
-    >>> ratio = estimate_heteroscedasticity(noise * rng.standard_normal(600), kind).ratio
+    >>> ratio = estimate_heteroscedasticity(noise * rng.standard_normal(600), kind, np.ones(600)).ratio
     >>> bool(np.corrcoef(ratio, noise)[0, 1] > 0.9)
     True
-    >>> np.unique(estimate_heteroscedasticity(rng.standard_normal(600), kind).max_ratio)
+    >>> np.unique(estimate_heteroscedasticity(rng.standard_normal(600), kind, np.ones(600)).max_ratio)
     array([1.])
     """
     null, best, noisy_probability, ratio = -np.inf, -np.inf, np.zeros(int(kind.max()) + 1), 1.0
     for df in MIXTURE_TAIL_DF:
-        fits = [_log_likelihood(deviation, sd, df, kind) for sd in RELATIVE_SDS]
+        fits = [_log_likelihood(deviation, sd, df, kind, counts) for sd in RELATIVE_SDS]
         null = max(null, *(float(fit.sum()) for fit in fits))
         for steps, share in product(RATIO_STEPS, NOISY_SHARES):
             for quiet, noisy in zip(fits, fits[steps:], strict=False):
@@ -118,12 +121,13 @@ def estimate_heteroscedasticity(deviation: Array, kind: IntArray) -> Heterosceda
     return Heteroscedasticity(estimate[kind], np.where(maybe_noisy, ratio, 1.0)[kind], mean_square[kind])
 
 
-def _log_likelihood(deviation: Array, sd: float, df: float, kind: IntArray) -> Array:
+def _log_likelihood(deviation: Array, sd: float, df: float, kind: IntArray, counts: Array) -> Array:
     """Log likelihood of each configuration's residuals under Student t noise, with a Cauchy component."""
     scale = sd * np.sqrt((df - 2.0) / df)
     noise = log_student_t(deviation / scale, df) - np.log(scale)
     cauchy = log_student_t(deviation / OUTLIER_SCALE, 1.0) - np.log(OUTLIER_SCALE)
-    return np.bincount(kind, np.logaddexp(np.log1p(-OUTLIER_SHARE) + noise, np.log(OUTLIER_SHARE) + cauchy))
+    both = np.logaddexp(np.log1p(-OUTLIER_SHARE) + noise, np.log(OUTLIER_SHARE) + cauchy)
+    return np.bincount(kind, counts * both)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,9 +215,10 @@ def estimate_noise(
     each row, `kind` its configuration. No standard deviation is below `least_sd`.
     """
     deviation = left.residual * linearized.scale
-    free = np.maximum(1.0 - linearized.leverage - left.leverage, 1.0 - MAX_LEVERAGE)
+    free = np.maximum(1.0 - linearized.leverage - left.leverage, MIN_FREE)
     scale = np.sqrt(_estimate_drive_sd(deviation, free, rounding, drive, least_sd)[drive] ** 2 + rounding)
-    cell = kind * (drive.max() + 1) + drive
+    # Rows that the law nearly follows one by one resemble each other's residuals: they count for less.
+    cell, counts = kind * (drive.max() + 1) + drive, np.minimum(free / (1.0 - MAX_LEVERAGE), 1.0)
     standardized = deviation / scale / np.sqrt(free)
     uneven, skewness = Unevenness(np.ones(len(deviation))), None
     if linearized.noise_filter is None:
@@ -223,14 +228,15 @@ def estimate_noise(
             alone = _estimate_unevenness(linearized, whole, scale, drive, kind)
             if alone.log_ratio > uneven.log_ratio + left.log_evidence + MIN_UNEVEN_LOG_ODDS:
                 uneven = alone
-        skewness = fit_skewness(standardized / uneven.ratio)
-    noisy = estimate_heteroscedasticity(_subtract_cell_means(standardized / uneven.ratio, cell), kind)
+        skewness = fit_skewness((standardized / uneven.ratio)[counts == 1.0])
+    within = _subtract_cell_means(standardized / uneven.ratio, cell)
+    noisy = estimate_heteroscedasticity(within, kind, counts)
     ratio = uneven.ratio * noisy.ratio
     most = np.inf if skewness else MAX_MEDIANS
     sd = _estimate_drive_sd(deviation / ratio, free, rounding / ratio**2, drive, least_sd, most)
     if skewness:
         scale = np.sqrt((sd[drive] * ratio) ** 2 + rounding)
-        skewness = fit_skewness(deviation / scale / np.sqrt(free))
+        skewness = fit_skewness((deviation / scale / np.sqrt(free))[counts == 1.0])
     return NoiseEstimate(sd, np.bincount(drive, free, len(sd)), noisy, uneven, skewness)
 
 
@@ -239,8 +245,8 @@ def _estimate_unevenness(
 ) -> Unevenness:
     """From symmetrized residuals without means of replicates that are beyond chance: effects, not noise."""
     residuals = residuals_of(linearized, left.residual, scale, drive, left.leverage)
-    free = np.sqrt(np.maximum(1.0 - linearized.leverage - left.leverage, 1.0 - MAX_LEVERAGE))
-    if skewness := fit_skewness(residuals.values / free):
+    free = np.sqrt(np.maximum(1.0 - linearized.leverage - left.leverage, MIN_FREE))
+    if skewness := fit_skewness((residuals.values / free)[free**2 > 1.0 - MAX_LEVERAGE]):
         residuals = replace(residuals, values=free * skewness.symmetrize(residuals.values / free))
     cell, size = kind * (drive.max() + 1) + drive, np.clip(residuals.values, -CLIP_SD, CLIP_SD)
     rows = np.maximum(np.bincount(cell), 1)
@@ -268,15 +274,14 @@ def _estimate_drive_sd(
     least_sd: float,
     max_medians: float = MAX_MEDIANS,
 ) -> Array:
-    number, size = int(drive.max()) + 1, np.abs(deviation)
-    median = np.array([np.median(size[drive == k]) if np.any(drive == k) else np.inf for k in range(number)])
-    squares = np.minimum(size, max_medians * np.maximum(median, least_sd)[drive]) ** 2
-    df = np.bincount(drive, free, number)
-    pooled = max(float(squares.sum() / max(df.sum(), 1.0) - rounding.mean()), least_sd**2)
-    rows = np.maximum(np.bincount(drive, minlength=number), 1)
-    own = np.bincount(drive, squares, number) / np.maximum(df, 1.0)
-    own -= np.bincount(drive, rounding, number) / rows
-    return np.sqrt(np.where(df >= MIN_DRIVE_DF, np.maximum(own, 0.04 * pooled), pooled))
+    number, variance = int(drive.max()) + 1, np.zeros(len(deviation))
+    for own in (drive == k for k in np.unique(drive)):
+        most = max_medians * max(weighted_median(np.abs(deviation[own]) / np.sqrt(free[own]), free[own]), least_sd)
+        variance[own] = np.minimum(deviation[own] ** 2 / free[own], most**2) - rounding[own]
+    df, total = np.bincount(drive, free, number), np.bincount(drive, free * variance, number)
+    pooled = max(float(total.sum() / df.sum()), least_sd**2)
+    of_drive = np.maximum(total / np.maximum(df, MIN_FREE), 0.04 * pooled)
+    return np.sqrt(np.where(df >= MIN_DRIVE_DF, of_drive, pooled))
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,9 +71,11 @@ def fit_skewness(deviation: Array) -> Skewness | None:
     >>> fit_skewness(rng.standard_t(5, 500)) is None
     True
     """
+    if len(deviation) < MIN_ROWS:
+        return None
     middle = float(np.median(deviation))
     unit = float(np.median(np.abs(deviation - middle))) / 0.6745
-    if len(deviation) < MIN_ROWS or not unit > 0:
+    if not unit > 0:
         return None
     z = (deviation - middle) / unit
     if abs(float(np.clip(z, -CLIP, CLIP).mean())) * np.sqrt(len(z)) < MIN_MEAN_SHIFT:

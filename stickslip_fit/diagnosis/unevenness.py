@@ -42,7 +42,7 @@ MIN_LIKELIHOOD = 1e-300  # relative to that of the best standard deviation
 N_BINS, N_PARTS, N_STRETCHES = 6, 3, 8  # of a coordinate in each joint; of a session; of the travel
 PRIOR_ROWS, MIN_VARIANCE, MIN_LENGTH = 2.0, 1e-3, 1e-12
 MIN_GROUP_ROWS = 4  # on average; single rows that are far off are heavy tails
-MIN_FREE = 0.02  # of a row's information
+MIN_FREE = 1e-6  # of a row's information, beside rounding
 N_PROJECTIONS, MAX_PULL = 3, 3.0
 MAX_MEDIANS = 10.0  # of the absolute residuals, at which larger ones are clipped in standard deviations
 
@@ -130,18 +130,18 @@ class Residuals:
         Each drive's standard deviation is estimated anew. Gross errors draw the fit to themselves by no more
         than `MAX_PULL` standard deviations would (P. J. Huber, Ann. Math. Stat. 35:73, 1964).
         """
-        values, slopes = self.values / ratio, self.slopes / ratio[:, None]
-        sd, weight = self._drive_sd(values), np.ones(len(values))
+        values, slopes, weight = self.values / ratio, self.slopes / ratio[:, None], np.ones(len(self))
+        sd = self._drive_sd(values, weight)
         for _ in range(N_PROJECTIONS):
             left, leverage, log_determinant = self._project(values / sd, slopes / sd[:, None], weight)
             free = np.maximum(1.0 - leverage - self.share, MIN_FREE)
-            sd = sd * (change := self._drive_sd(left / np.sqrt(free)))
+            sd = sd * (change := self._drive_sd(left / np.sqrt(free), free))
             weight = np.minimum(1.0, MAX_PULL / np.maximum(np.abs(left / change), MAX_PULL))
         left = left / change
         log_determinant -= float(np.log(change) @ leverage)
-        return WeightedResiduals(
-            ratio, left, left / np.sqrt(free), free, -float(np.sum(np.log(ratio * sd))) - log_determinant
-        )
+        kept = np.maximum(1.0 - self.share, MIN_FREE) + np.zeros(len(left))
+        log_volume = -float(kept @ np.log(ratio * sd)) - log_determinant
+        return WeightedResiduals(ratio, left / np.sqrt(kept), kept, left / np.sqrt(free), free, log_volume)
 
     def _project(self, values: Array, slopes: Array, weight: Array) -> tuple[Array, Array, float]:
         """Values without their weighted fit in each block, leverages, and half the log determinant."""
@@ -163,13 +163,25 @@ class Residuals:
         n = len(self)
         return csr_array((np.ones(n), (self.block, np.arange(n))), shape=(int(self.block.max()) + 1, n))
 
-    def _drive_sd(self, values: Array) -> Array:
+    def _drive_sd(self, values: Array, free: Array) -> Array:
         size, sd = np.abs(values), np.ones(len(values))
-        for number in np.unique(self.drive):
-            own = self.drive == number
-            most = MAX_MEDIANS * np.median(size[own])
-            sd[own] = np.sqrt(np.mean(np.minimum(size[own], most) ** 2)) or 1.0
+        for own in (self.drive == number for number in np.unique(self.drive)):
+            most = MAX_MEDIANS * weighted_median(size[own], free[own])
+            sd[own] = np.sqrt(np.average(np.minimum(size[own], most) ** 2, weights=free[own])) or 1.0
         return sd
+
+
+def weighted_median(values: Array, weight: Array) -> float:
+    """The least value up to which at least half of the weight lies.
+
+    Examples
+    --------
+    >>> weighted_median(np.array([3.0, 1.0, 2.0]), np.array([5.0, 1.0, 1.0]))
+    3.0
+    """
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return float(values[order[np.searchsorted(total, 0.5 * total[-1])]])
 
 
 def residuals_of(
@@ -196,8 +208,9 @@ class WeightedResiduals:
     ----------
     ratio : array, shape (n,)
         The noise for which the rows are weighted.
-    left : array, shape (n,)
-        In units of that noise.
+    left, kept : array, shape (n,)
+        In units of that noise; and how much of a row each counts, what was subtracted with anything else
+        left out.
     standardized : array, shape (n,)
         With what calibration took of their variance.
     free : array, shape (n,)
@@ -208,6 +221,7 @@ class WeightedResiduals:
 
     ratio: Array
     left: Array
+    kept: Array
     standardized: Array
     free: Array
     log_volume: float
@@ -371,7 +385,7 @@ def _refine(residuals: Residuals, ratio: Array, grouping: Grouping, fit: _SdFit)
             own = _fit_sds(table, grouping)
         # The restricted likelihood of the estimates, averaged over the standard deviations that rows allow.
         estimates = _log_densities(weighted.standardized) @ weighted.free - np.log(used) @ weighted.free
-        restricted = _log_densities(weighted.left).sum(axis=1) + weighted.log_volume
+        restricted = _log_densities(weighted.left) @ weighted.kept + weighted.log_volume
         log_likelihood.append(np.max(restricted + own.log_likelihood[which] - estimates))
         sds.append(own.sds[which][grouping.labels])
     return _Test(float(log_likelihood[0] - log_likelihood[1]), float(log_likelihood[0]), sds[0])

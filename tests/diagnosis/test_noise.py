@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import chi2
 
 from stickslip_fit.diagnosis.hypotheses import (
     build_per_session_hypotheses,
@@ -211,3 +212,25 @@ def test_a_weighted_mean_is_as_uncertain_as_its_expected_variances_say(spread):
 
     assert np.mean(np.abs(standardize(estimate)) < 1.96) < 0.93
     assert np.mean(np.abs(standardize(expected)) < 1.96) == pytest.approx(0.95, abs=0.015)
+
+
+@pytest.mark.parametrize("df", [1, 2, 5, 10, 20])
+def test_noise_is_told_by_as_many_rows_as_the_law_leaves(rows, parts, df):
+    """Over 100 logs of laws that follow some rows much closer than others."""
+    rng, n, predicted = np.random.default_rng(df), len(rows), Prismatic().predict(rows, parts[0].values)
+    scale, whole, drive = np.full(n, NOISE), np.zeros(n), drive_of(rows)
+    calibration = linearize_fit(rows, parts, predicted, scale).basis.shape[1]
+    variance, uneven = [], 0
+    for _ in range(100):
+        further = np.exp(rng.standard_normal((n, 1))) * rng.standard_normal((n, n - calibration - df))
+        responses = predicted + NOISE * rng.standard_normal(n)
+        linearized = linearize_fit(rows, parts, responses, scale, absorbed=further)
+        noise = estimate_noise(
+            linearized, StructureRemoved(linearized.residual, whole), whole, drive, kind_of(rows)
+        )
+        assert noise.df.sum() == pytest.approx(df, abs=1e-3)
+        variance.append(np.mean((noise.sd[drive] * noise.ratio / NOISE) ** 2))
+        uneven += len(noise.unevenness.carriers) > 0
+    assert np.mean(variance) == pytest.approx(1.0, abs=4 * np.sqrt(2 / df / 100))
+    assert np.quantile(variance, 0.9) < 1.3 * chi2.ppf(0.9, df) / df
+    assert uneven <= 3
