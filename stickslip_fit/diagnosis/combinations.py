@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.cause_set import form_cause_set
@@ -23,7 +24,6 @@ from stickslip_fit.diagnosis.extension import (
     SelectedCause,
     absorb_unknown,
     compute_evidence,
-    estimate_strength,
     extend_problem,
     fit_causes,
     make_selected,
@@ -38,6 +38,7 @@ from stickslip_fit.diagnosis.misfit import (
     average_by_cause,
     batch_hypotheses,
     classify_cause,
+    log_likelihood_ratio,
     weigh_hypotheses,
 )
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
@@ -48,7 +49,8 @@ from stickslip_fit.diagnosis.proposed_term import propose_term
 PAIR_MIN_LOG_BAYES_FACTOR, PAIR_LOG_PENALTY, MAX_PAIR_TRIALS = 3.0, 3.0, 3
 # Nats of a cause that is refitted before one is named, and the share of the largest evidence that it has.
 MIN_REFIT_LOG_BAYES_FACTOR, MIN_REFIT_SHARE = 10.0, 0.3
-MAX_LIKELY_SHAPES = 6  # of unknown structure, beside which causes are looked for
+# Of unknown structure, beside which causes are looked for: shapes, and norms of what they explain, whitened.
+MAX_LIKELY_SHAPES, STRENGTHS_BESIDE = 6, np.geomspace(4.0, 400.0, 11)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +119,7 @@ def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], 
 
 
 def find_beside_unknown(
-    problem: DiagnosisProblem,
-    searched: LinearizedFit,
-    unknown: SelectedCause,
-    selected: Sequence[SelectedCause],
-    level: float,
+    searched: LinearizedFit, unknown: SelectedCause, level: float
 ) -> PairSearch:
     """A cause that with `unknown` structure beside it is likelier than such structure alone, if any.
 
@@ -131,93 +129,83 @@ def find_beside_unknown(
     """
     misfit = unknown.misfit
     assert misfit is not None
-    evidence = misfit.log_evidence_by_cause
-    beside = None if problem.autocorrelation is not None else _test_beside_unknown(misfit, searched.df)
-    if beside is None:
+    if searched.noise_filter is not None:
         return PairSearch(None)
-    before, (after, left) = _evidence_before_unknown(misfit, searched.df), beside
-    # Causes whose fit failed have no evidence any more.
-    together = {cause: after.log_evidence_by_cause[cause] for cause in evidence} | {
-        UNKNOWN: evidence[UNKNOWN]
-    }
-    together |= {cause: max(value, together[cause]) for cause, value in before.items()}
-    best = max(evidence.keys() - {UNKNOWN}, key=lambda cause: together[cause])
-    shows_alone = before.get(best, -np.inf) == together[best]
-    shown, rest = (misfit, misfit) if shows_alone else (after, left)
-    to_beat = evidence[UNKNOWN] + float(np.log(len(evidence) / level))
-    behind = to_beat - together[best]
-    if behind > 0 or assess_support(searched, rest, best).too_narrow:
+    tests = _test_beside_unknown(misfit, searched.df)
+    if not tests:
+        return PairSearch(None)
+    causes = [cause for cause in misfit.log_evidence_by_cause if cause != UNKNOWN]
+    each = {cause: [one.log_evidence_by_cause.get(cause, -np.inf) for one in tests] for cause in causes}
+    together = {cause: float(logsumexp(values)) for cause, values in each.items()}
+    together[UNKNOWN] = max(
+        misfit.log_evidence_by_cause[UNKNOWN],
+        float(logsumexp([one.log_evidence_by_cause[UNKNOWN] for one in tests])),
+    )
+    best = max(causes, key=together.__getitem__)
+    to_beat = together[UNKNOWN] + float(np.log(len(together) / level))
+    behind, left = to_beat - together[best], tests[int(np.argmax(each[best]))]
+    if behind > 0 or assess_support(searched, left, best).too_narrow:
         # Beside such structure every effect has some evidence, which other rows hardly turn into enough.
-        least = evidence[UNKNOWN] + PAIR_MIN_LOG_BAYES_FACTOR
-        near = [value for cause, value in together.items() if cause != UNKNOWN and value > least]
-        return PairSearch(None, max(to_beat - max([*near, *before.values()], default=-np.inf), 0.0))
-    test = replace(shown, log_evidence_by_cause=together)
-    one = make_selected(test, form_cause_set(test, best))
-    if shows_alone:
-        _, _, more = _next_cause(extend_problem(problem, [*selected, one]), [*selected, one])
-        behind = to_beat - evidence[best] - more
-    return PairSearch(Combination(one, (UNKNOWN,)) if behind < 0 else None, behind)
+        least = together[UNKNOWN] + PAIR_MIN_LOG_BAYES_FACTOR
+        near = [together[cause] for cause in causes if together[cause] > least]
+        return PairSearch(None, max(to_beat - max(near, default=-np.inf), 0.0))
+    one = make_selected(left, form_cause_set(replace(left, log_evidence_by_cause=together), best))
+    return PairSearch(Combination(one, (UNKNOWN,)), behind)
 
 
-def _evidence_before_unknown(misfit: Misfit, df: int) -> dict[str, float]:
-    """Of causes that show alone, with any unknown structure in what each leaves, over noise alone."""
-    evidence = misfit.log_evidence_by_cause
-    causes = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] > PAIR_MIN_LOG_BAYES_FACTOR]
-    if not causes:
-        return {}
-    shapes = [one for one in misfit.hypotheses if classify_cause(one) == UNKNOWN]
-    left = np.stack([_without(misfit, cause) for cause in causes], axis=1)
-    if misfit.basis is not None:  # directions of one session need not be orthogonal to shared parameters
-        left -= misfit.basis @ (misfit.basis.T @ left)
-    weight = weigh_hypotheses(shapes, [UNKNOWN] * len(shapes))
-    beside = batch_hypotheses(shapes, df).log_mean_evidence(left, weight)
-    return {cause: evidence[cause] + float(more) for cause, more in zip(causes, beside, strict=True)}
+def _test_beside_unknown(misfit: Misfit, df: int) -> list[Misfit]:
+    """Tests of what likely shapes of unknown structure leave, each at several strengths; none without a cause.
 
-
-def _test_beside_unknown(misfit: Misfit, df: int) -> tuple[Misfit, Misfit] | None:
-    """The test with each cause's evidence beside unknown structure, and of what its likeliest shape leaves.
-
-    None without a cause, or without a shape of unknown structure.
-
-    Under the covariance that a likely shape of such structure gives the residuals, effects lose what it may
-    have taken up (C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for Machine Learning, 2006, sect.
-    2.7).
+    Evidence by cause is that of the structure and the cause together, and for ``unknown`` that of the
+    structure alone, as parts of an average over all shapes and strengths. Under the covariance that such
+    structure gives the residuals, effects lose what it may have taken up (C. E. Rasmussen and C. K. I.
+    Williams, Gaussian Processes for Machine Learning, 2006, sect. 2.7). With a cause in the law the noise is
+    smaller, so that the structure may be stronger than is likeliest without.
     """
     causes = [classify_cause(one) for one in misfit.hypotheses]
     weight = weigh_hypotheses(misfit.hypotheses, causes)
-    is_unknown = np.array([cause == UNKNOWN for cause in causes])
-    evidence = np.where(is_unknown, misfit.log_evidence, -np.inf)
-    known = {
-        k: one
-        for k, (cause, one) in enumerate(zip(causes, misfit.hypotheses, strict=True))
+    known = [
+        one
+        for cause, one in zip(causes, misfit.hypotheses, strict=True)
         if isinstance(one, Hypothesis) and cause != UNKNOWN and cause in misfit.log_evidence_by_cause
-    }
-    effects = [one.directions * np.sqrt(one.prior_share) for one in known.values()]
-    shapes = {
-        k: one for k, one in enumerate(misfit.hypotheses) if isinstance(one, Hypothesis) and is_unknown[k]
-    }
-    likeliest = sorted(shapes, key=lambda k: -(misfit.log_evidence[k] + weight[k]))[:MAX_LIKELY_SHAPES]
-    if not likeliest or not known:
-        return None
-    tests = []
-    for place in likeliest:
-        shape, directions = shapes[place], shapes[place].directions
-        signal = estimate_strength(shape, misfit.residual) ** 2 * shape.prior_share
-        lost = directions * (1.0 - 1.0 / np.sqrt(1.0 + signal))
-        residual = misfit.residual - lost @ (directions.T @ misfit.residual)
-        shown = {}
-        for (k, one), own in zip(known.items(), effects, strict=True):
-            if left := make_hypothesis(one.cause, one.version, one.values, own - lost @ (directions.T @ own)):
-                shown[k] = left
-        own_evidence = batch_hypotheses([*shown.values()], df).log_evidence(residual[:, None])[:, 0]
-        added = np.zeros(len(evidence))  # of effects that the structure takes up as a whole
-        added[[*shown]] = own_evidence
-        total = misfit.log_evidence[place] + weight[place] + added
-        evidence[~is_unknown] = np.logaddexp(evidence, total)[~is_unknown]
-        hypotheses = tuple(shown.values())
-        tests.append(replace(misfit, residual=residual, hypotheses=hypotheses, log_evidence=own_evidence))
-    by_cause = average_by_cause(causes, weight, evidence)
-    return replace(misfit, log_evidence=evidence, log_evidence_by_cause=by_cause), tests[0]
+    ]
+    shapes = [
+        (float(evidence + own), float(own), one)
+        for cause, evidence, own, one in zip(
+            causes, misfit.log_evidence, weight, misfit.hypotheses, strict=True
+        )
+        if isinstance(one, Hypothesis) and cause == UNKNOWN
+    ]
+    effects = [one.directions * np.sqrt(one.prior_share) for one in known]
+    tests, whole = [], float(misfit.residual @ misfit.residual)
+    for _, share, shape in sorted(shapes, key=lambda one: -one[0])[: MAX_LIKELY_SHAPES if known else 0]:
+        directions = shape.directions
+        signal = STRENGTHS_BESIDE[:, None] ** 2 * shape.prior_share
+        explained = (signal / (1.0 + signal)) @ (directions.T @ misfit.residual) ** 2 / whole
+        alone = share + log_likelihood_ratio(explained, df) - 0.5 * np.log1p(signal).sum(axis=1)
+        alone -= np.log(len(STRENGTHS_BESIDE))
+        for strength in range(int(np.argmax(alone)), len(STRENGTHS_BESIDE)):
+            lost = directions * (1.0 - 1.0 / np.sqrt(1.0 + signal[strength]))
+            residual = misfit.residual - lost @ (directions.T @ misfit.residual)
+            left = [
+                make_hypothesis(one.cause, one.version, one.values, own - lost @ (directions.T @ own))
+                for one, own in zip(known, effects, strict=True)
+            ]
+            shown = [one for one in left if one is not None]
+            evidence = batch_hypotheses(shown, df).log_evidence(residual[:, None])[:, 0]
+            names = [one.cause for one in shown]
+            together = average_by_cause(names, alone[strength] + weigh_hypotheses(shown, names), evidence)
+            together[UNKNOWN] = float(alone[strength])
+            tests.append(
+                replace(
+                    misfit,
+                    residual=residual,
+                    hypotheses=tuple(shown),
+                    log_evidence=evidence,
+                    log_evidence_by_cause=together,
+                )
+            )
+    return tests
 
 
 def _next_cause(
