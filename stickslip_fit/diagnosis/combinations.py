@@ -11,8 +11,9 @@ another cause added to these (`find_exchange`). At the end, causes that the othe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import logsumexp
@@ -32,6 +33,7 @@ from stickslip_fit.diagnosis.extension import (
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis, compute_effects, make_hypothesis
 from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
     Misfit,
@@ -119,7 +121,7 @@ def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], 
 
 
 def find_beside_unknown(
-    searched: LinearizedFit, unknown: SelectedCause, level: float
+    problem: DiagnosisProblem, searched: LinearizedFit, unknown: SelectedCause, level: float
 ) -> PairSearch:
     """A cause that with `unknown` structure beside it is likelier than such structure alone, if any.
 
@@ -129,9 +131,7 @@ def find_beside_unknown(
     """
     misfit = unknown.misfit
     assert misfit is not None
-    if searched.noise_filter is not None:
-        return PairSearch(None)
-    tests = _test_beside_unknown(misfit, searched.df)
+    tests = _test_beside_unknown(misfit, searched.df) if problem.autocorrelation is None else []
     if not tests:
         return PairSearch(None)
     causes = [cause for cause in misfit.log_evidence_by_cause if cause != UNKNOWN]
@@ -154,58 +154,61 @@ def find_beside_unknown(
 
 
 def _test_beside_unknown(misfit: Misfit, df: int) -> list[Misfit]:
-    """Tests of what likely shapes of unknown structure leave, each at several strengths; none without a cause.
+    """Tests under the covariance of likely structures; none without a cause that has a shape.
 
     Evidence by cause is that of the structure and the cause together, and for ``unknown`` that of the
-    structure alone, as parts of an average over all shapes and strengths. Under the covariance that such
-    structure gives the residuals, effects lose what it may have taken up (C. E. Rasmussen and C. K. I.
-    Williams, Gaussian Processes for Machine Learning, 2006, sect. 2.7). With a cause in the law the noise is
-    smaller, so that the structure may be stronger than is likeliest without.
+    structure alone, as parts of an average over all structures. Under the covariance that a structure gives
+    the residuals, effects lose what it may have taken up (C. E. Rasmussen and C. K. I. Williams, Gaussian
+    Processes for Machine Learning, 2006, sect. 2.7).
+    """
+    known = [
+        one
+        for one in misfit.hypotheses
+        if isinstance(one, Hypothesis)
+        and (cause := classify_cause(one)) != UNKNOWN
+        and cause in misfit.log_evidence_by_cause
+    ]
+    effects, tests = [one.directions * np.sqrt(one.prior_share) for one in known], []
+    for alone, whiten in _likely_structures(misfit, df) if known else ():
+        left = [
+            make_hypothesis(one.cause, one.version, one.values, whiten(own))
+            for one, own in zip(known, effects, strict=True)
+        ]
+        shown, residual = [one for one in left if one is not None], whiten(misfit.residual)
+        evidence = batch_hypotheses(shown, df).log_evidence(residual[:, None])[:, 0]
+        names = [one.cause for one in shown]
+        together = average_by_cause(names, alone + weigh_hypotheses(shown, names), evidence)
+        test = replace(misfit, residual=residual, hypotheses=tuple(shown), log_evidence=evidence)
+        tests.append(replace(test, log_evidence_by_cause={**together, UNKNOWN: alone}))
+    return tests
+
+
+def _likely_structures(misfit: Misfit, df: int) -> Iterator[tuple[float, Callable[[Array], Array]]]:
+    """The share of unknown structures in an average of their evidence, and columns without their covariance.
+
+    Each likely shape at several strengths: with a cause in the law the noise is smaller, so that it may be
+    stronger than is likeliest without.
     """
     causes = [classify_cause(one) for one in misfit.hypotheses]
     weight = weigh_hypotheses(misfit.hypotheses, causes)
-    known = [
-        one
-        for cause, one in zip(causes, misfit.hypotheses, strict=True)
-        if isinstance(one, Hypothesis) and cause != UNKNOWN and cause in misfit.log_evidence_by_cause
-    ]
-    shapes = [
-        (float(evidence + own), float(own), one)
-        for cause, evidence, own, one in zip(
-            causes, misfit.log_evidence, weight, misfit.hypotheses, strict=True
-        )
-        if isinstance(one, Hypothesis) and cause == UNKNOWN
-    ]
-    effects = [one.directions * np.sqrt(one.prior_share) for one in known]
-    tests, whole = [], float(misfit.residual @ misfit.residual)
-    for _, share, shape in sorted(shapes, key=lambda one: -one[0])[: MAX_LIKELY_SHAPES if known else 0]:
-        directions = shape.directions
-        signal = STRENGTHS_BESIDE[:, None] ** 2 * shape.prior_share
-        explained = (signal / (1.0 + signal)) @ (directions.T @ misfit.residual) ** 2 / whole
-        alone = share + log_likelihood_ratio(explained, df) - 0.5 * np.log1p(signal).sum(axis=1)
-        alone -= np.log(len(STRENGTHS_BESIDE))
-        for strength in range(int(np.argmax(alone)), len(STRENGTHS_BESIDE)):
+    places = [k for k, cause in enumerate(causes) if cause == UNKNOWN]
+    places.sort(key=lambda k: -(misfit.log_evidence[k] + weight[k]))
+    for k in places[:MAX_LIKELY_SHAPES]:
+        shape = misfit.hypotheses[k]
+        if isinstance(shape, AR1):
+            yield float(misfit.log_evidence[k] + weight[k]), shape.whiten
+            continue
+        directions, signal = shape.directions, STRENGTHS_BESIDE[:, None] ** 2 * shape.prior_share
+        squares = (directions.T @ misfit.residual) ** 2 / float(misfit.residual @ misfit.residual)
+        alone = log_likelihood_ratio((signal / (1.0 + signal)) @ squares, df)
+        alone += weight[k] - np.log(len(signal)) - 0.5 * np.log1p(signal).sum(axis=1)
+        for strength in range(int(np.argmax(alone)), len(signal)):
             lost = directions * (1.0 - 1.0 / np.sqrt(1.0 + signal[strength]))
-            residual = misfit.residual - lost @ (directions.T @ misfit.residual)
-            left = [
-                make_hypothesis(one.cause, one.version, one.values, own - lost @ (directions.T @ own))
-                for one, own in zip(known, effects, strict=True)
-            ]
-            shown = [one for one in left if one is not None]
-            evidence = batch_hypotheses(shown, df).log_evidence(residual[:, None])[:, 0]
-            names = [one.cause for one in shown]
-            together = average_by_cause(names, alone[strength] + weigh_hypotheses(shown, names), evidence)
-            together[UNKNOWN] = float(alone[strength])
-            tests.append(
-                replace(
-                    misfit,
-                    residual=residual,
-                    hypotheses=tuple(shown),
-                    log_evidence=evidence,
-                    log_evidence_by_cause=together,
-                )
-            )
-    return tests
+            yield float(alone[strength]), partial(_subtract_along, directions, lost)
+
+
+def _subtract_along(directions: Array, lost: Array, columns: Array) -> Array:
+    return np.asarray(columns - lost @ (directions.T @ columns))
 
 
 def _next_cause(

@@ -443,9 +443,14 @@ class AR1:
         least = share - 2.0 * carried**2 * self.sequences.neighbour_squares / df
         return price, share, price - 0.5 * df * np.log(np.maximum(least, LEAST_SHARE)) > NEGLIGIBLE
 
-    def shape(self, residual: Array) -> Array:
-        """Prediction of each residual from the one before, shape (n,)."""
-        return np.where(self.before >= 0, self.coefficient * residual[self.before], 0.0)
+    def shape(self, residuals: Array) -> Array:
+        """Prediction of each residual from the one before, shape (n,) or (n, q)."""
+        carried = np.where(self.before >= 0, self.coefficient, 0.0)
+        return np.asarray((carried * residuals[self.before].T).T)
+
+    def whiten(self, columns: Array) -> Array:
+        """Columns without what each row has of the one before, shape (n,) or (n, q)."""
+        return columns - self.shape(columns)
 
     def correlate(self, columns: Array) -> Array:
         """Columns whose products are those of (n, q) under stationary memory's correlations, (n, q)."""

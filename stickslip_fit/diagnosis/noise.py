@@ -276,7 +276,9 @@ def _estimate_drive_sd(
 ) -> Array:
     number, variance = int(drive.max()) + 1, np.zeros(len(deviation))
     for own in (drive == k for k in np.unique(drive)):
-        most = max_medians * max(weighted_median(np.abs(deviation[own]) / np.sqrt(free[own]), free[own]), least_sd)
+        most = max_medians * max(
+            weighted_median(np.abs(deviation[own]) / np.sqrt(free[own]), free[own]), least_sd
+        )
         variance[own] = np.minimum(deviation[own] ** 2 / free[own], most**2) - rounding[own]
     df, total = np.bincount(drive, free, number), np.bincount(drive, free * variance, number)
     pooled = max(float(total.sum() / df.sum()), least_sd**2)

@@ -199,7 +199,7 @@ def _select(
     def give_way(chosen: Sequence[SelectedCause], searched: LinearizedFit) -> list[SelectedCause]:
         """A cause in the place of unknown structure that would end the search, if likelier beside such."""
         *others, unknown = chosen
-        beside = find_beside_unknown(searched, unknown, level)
+        beside = find_beside_unknown(problem, searched, unknown, level)
         if beside.found is not None:
             combinations.append((beside.found.first.cause, *beside.found.others))
             return [*others, beside.found.first]
