@@ -35,12 +35,13 @@ from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import (
+    FINE_STRENGTHS,
     UNKNOWN,
     Misfit,
     average_by_cause,
     batch_hypotheses,
     classify_cause,
-    log_likelihood_ratio,
+    strength_evidence,
     weigh_hypotheses,
 )
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
@@ -51,8 +52,7 @@ from stickslip_fit.diagnosis.proposed_term import propose_term
 PAIR_MIN_LOG_BAYES_FACTOR, PAIR_LOG_PENALTY, MAX_PAIR_TRIALS = 3.0, 3.0, 3
 # Nats of a cause that is refitted before one is named, and the share of the largest evidence that it has.
 MIN_REFIT_LOG_BAYES_FACTOR, MIN_REFIT_SHARE = 10.0, 0.3
-# Of unknown structure, beside which causes are looked for: shapes, and norms of what they explain, whitened.
-MAX_LIKELY_SHAPES, STRENGTHS_BESIDE = 6, np.geomspace(4.0, 400.0, 11)
+MAX_LIKELY_SHAPES = 6  # of unknown structure, beside which causes are looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,10 +198,9 @@ def _likely_structures(misfit: Misfit, df: int) -> Iterator[tuple[float, Callabl
         if isinstance(shape, AR1):
             yield float(misfit.log_evidence[k] + weight[k]), shape.whiten
             continue
-        directions, signal = shape.directions, STRENGTHS_BESIDE[:, None] ** 2 * shape.prior_share
-        squares = (directions.T @ misfit.residual) ** 2 / float(misfit.residual @ misfit.residual)
-        alone = log_likelihood_ratio((signal / (1.0 + signal)) @ squares, df)
-        alone += weight[k] - np.log(len(signal)) - 0.5 * np.log1p(signal).sum(axis=1)
+        directions, signal = shape.directions, FINE_STRENGTHS[:, None] ** 2 * shape.prior_share
+        alone = strength_evidence(signal, directions.T @ misfit.residual, misfit.residual, df)
+        alone += weight[k] - np.log(len(signal))
         for strength in range(int(np.argmax(alone)), len(signal)):
             lost = directions * (1.0 - 1.0 / np.sqrt(1.0 + signal[strength]))
             yield float(alone[strength]), partial(_subtract_along, directions, lost)

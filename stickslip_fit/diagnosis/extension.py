@@ -190,7 +190,7 @@ def explain_unevenness(
         if not noise.unevenness.carriers or not misfit.hypotheses:
             break
         evidence = batch.log_evidence(left.residual[:, None])[:, 0]
-        more = remove_structure(left.residual, misfit.hypotheses, evidence)
+        more = remove_structure(left.residual, misfit.hypotheses, evidence, linearized.df)
         if more.log_evidence <= noise.unevenness.log_ratio:
             break
         leverage, log_evidence = left.leverage + more.leverage, left.log_evidence + more.log_evidence

@@ -52,6 +52,7 @@ UNKNOWN = "unknown"
 # information.
 MAX_DEVIATION = 2.5
 STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])  # tau: hyperprior on the norm of an effect, whitened
+FINE_STRENGTHS = np.geomspace(4.0, 400.0, 11)  # the same of structure far above the noise
 MAX_DETECTION_LENGTH = 60.0  # whitened norm
 MAX_EXPLAINED = 1.0 - 1e-12  # share of the squared residuals
 MIN_LOG_BAYES_FACTOR = 5.0  # nats for a structure to be subtracted before the bootstrap
@@ -230,20 +231,33 @@ class StructureRemoved:
 
 
 def remove_structure(
-    residual: Array, hypotheses: Sequence[Hypothesis | AR1], log_evidence: Array
+    residual: Array, hypotheses: Sequence[Hypothesis | AR1], log_evidence: Array, df: int
 ) -> StructureRemoved:
-    """Subtract the likeliest structure from residuals, (n,), shrunk as its prior says."""
+    """Subtract the likeliest structure from residuals, (n,), shrunk as its prior says.
+
+    At the likeliest strength whatever the noise, which is known only once the structure is removed.
+    """
     best = int(np.argmax(log_evidence))
     shape, zeros = hypotheses[best], np.zeros(len(residual))
     if log_evidence[best] < MIN_LOG_BAYES_FACTOR:
         return StructureRemoved(residual, zeros)
     if isinstance(shape, AR1):
         return StructureRemoved(residual - shape.shape(residual), zeros, float(log_evidence[best]))
-    along = shape.coefficients(residual)
-    strength = STRENGTHS[np.argmin(np.abs(np.log(STRENGTHS**2 / max(float(along @ along), 1.0))))]
-    kept = strength**2 * shape.prior_share / (1.0 + strength**2 * shape.prior_share)
+    along, signal = shape.coefficients(residual), FINE_STRENGTHS[:, None] ** 2 * shape.prior_share
+    kept = signal[int(np.argmax(strength_evidence(signal, along, residual, df)))]
+    kept = kept / (1.0 + kept)
     left = residual - shape.combine(kept * along)
     return StructureRemoved(left, shape.leverage(kept), float(log_evidence[best]))
+
+
+def strength_evidence(signal: Array, along: Array, residual: Array, df: int) -> Array:
+    """Log Bayes factor at each strength, shape (S,).
+
+    `signal`, shape (S, m), is the prior variance along each direction over that of the noise, and `along`, (m,),
+    the coefficients of a residual, (n,).
+    """
+    explained = (signal / (1.0 + signal)) @ along**2 / float(residual @ residual)
+    return log_likelihood_ratio(explained, df) - 0.5 * np.log1p(signal).sum(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -403,7 +417,7 @@ def compute_misfit(
         return null, (1 + int(np.sum(null >= statistic))) / (1 + len(null))
 
     if n_bootstrap:
-        left = remove_structure(linearized.residual, hypotheses, own)
+        left = remove_structure(linearized.residual, hypotheses, own, linearized.df)
         shrinkage = np.sqrt(1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE))
         standardized = left.residual / shrinkage
         within = linearized.project(winsorize(linearized.residual / shrinkage, bound) * shrinkage)

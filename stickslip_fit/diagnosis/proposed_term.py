@@ -156,7 +156,7 @@ def _find_term(
     same = [(int(k), int(m)) for k, m in np.argwhere(criterion >= criterion.max() - EQUAL * squares.max())]
     follow = (one for one in same if {*dictionary.make(*one, 1.0)[0].carriers} == {*carriers})
     place, best = next(follow, same[0])
-    left = remove_structure(misfit.residual, misfit.hypotheses, misfit.log_evidence).residual
+    left = remove_structure(misfit.residual, misfit.hypotheses, misfit.log_evidence, linearized.df).residual
     noise = linearized.project(rng.choice([-1.0, 1.0], (len(left), N_NULL_LOGS)) * left[:, None])
     null = np.max(dictionary.along(noise) ** 2 / dictionary.squares[..., None], axis=(0, 1))
     if squares[place, best] <= np.quantile(null, 1.0 - NULL_LEVEL):

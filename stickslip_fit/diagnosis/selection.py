@@ -408,7 +408,7 @@ def _estimate_noise_left(
     problem: DiagnosisProblem, linearized: LinearizedFit, misfit: Misfit
 ) -> tuple[NoiseEstimate, StructureRemoved]:
     """The noise without the likeliest structure of a test, and what that leaves."""
-    left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
+    left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence, linearized.df)
     if explains_more(linearized, left.log_evidence):
         left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
     noise = problem.estimate_noise(linearized, left)

@@ -131,7 +131,7 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
     linearized, plain = selection.linearized, linearize_unweighted(selection)
     law, candidates, left = None, _alternatives(misfit, selected.cause), None
     if selected.version is None:
-        left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence)
+        left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence, linearized.df)
     else:
         place = selection.place_of(selected.version)
         law = estimate_effect(selection, problem.linearize(), selected, place)
