@@ -253,7 +253,7 @@ def remove_structure(
 def strength_evidence(signal: Array, along: Array, residual: Array, df: int) -> Array:
     """Log Bayes factor at each strength, shape (S,).
 
-    `signal`, shape (S, m), is the prior variance along each direction over that of the noise, and `along`, (m,),
+    `signal`, shape (S, m), is the prior variance along each direction over that of the noise, `along`, (m,),
     the coefficients of a residual, (n,).
     """
     explained = (signal / (1.0 + signal)) @ along**2 / float(residual @ residual)
