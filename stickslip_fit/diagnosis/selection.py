@@ -59,6 +59,7 @@ from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, re
 from stickslip_fit.diagnosis.noise import NoiseEstimate, explains_more, find_outliers, find_runs
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
+from stickslip_fit.diagnosis.testability import MIN_DF
 from stickslip_fit.estimation.result import OUTLYING_SD
 
 MAX_CAUSES = 4
@@ -68,7 +69,6 @@ MAX_OWN_PARAMETERS, ROWS_PER_PARAMETER = 24, 6
 # share of the rate, at most 22 lie above, so that no decision depends on the rest.
 MAX_EXCEEDANCES = 50
 MAX_NOISE_LEFT = 0.8  # of the noise, without structure, for which tests are made anew
-MAX_MEAN_LEVERAGE = 0.5  # of the structure, with which that noise is estimated
 MIN_EVIDENCE_SHARE = 0.5  # of a cause's evidence, without which another cannot take its place
 NO_ROWS: IntArray = np.zeros(0, dtype=np.intp)
 
@@ -421,12 +421,11 @@ def _quieten(extension: Extension, selected: Sequence[SelectedCause], misfit: Mi
     In larger noise the law for that structure would be too smooth.
     """
     problem, fit, _ = extension
-    noise, left = _estimate_noise_left(problem, absorb_unknown(extension, selected), misfit)
+    noise, _ = _estimate_noise_left(problem, absorb_unknown(extension, selected), misfit)
     # Which rows are noisy, residuals tell that structure followed as far as it could: no new weights.
     quieter = replace(problem, repeatability=noise.sd)
     is_same = rms(quieter.scale) > MAX_NOISE_LEFT * rms(problem.scale)
-    # Of rows that the structure follows one by one, what is left tells nothing of the noise.
-    if problem.autocorrelation is not None or is_same or np.mean(left.leverage) > MAX_MEAN_LEVERAGE:
+    if problem.autocorrelation is not None or is_same or noise.df.sum() < MIN_DF:
         return None
     return quieter, fit, linearize_with_causes(quieter, fit, law_causes(selected))
 
