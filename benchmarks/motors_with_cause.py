@@ -2,8 +2,8 @@
 
 Logs of the Cobra motor maps whose traverses have ends of their own (`tests/cobra/maps.py`), at times drawn at
 random, two minutes apart. The counts are changed by one effect whose rms over all traverses is `--strength`
-standard errors of the noise that the diagnosis finds in the log of the motor alone. Part of it is lost to
-calibration and to the profile of each session and direction.
+standard errors of a noise of 5 %, whatever noise the diagnosis finds. Part of it is lost to calibration and to
+the profile of each session and direction.
 """
 
 import argparse
@@ -21,6 +21,7 @@ from tests.cobra.maps import JOINTS, MACHINE, SHARED, positioners, write_cut
 COLUMNS = {"supply_V": (60.0, 1.0), "room_ppm": (400.0, 50.0)}  # mean and standard deviation
 SETTLING = 15.0  # min, of a warm-up
 SPACING = 2.0  # min, between traverses
+NOISE = 0.05
 
 
 def make_table(positioner: str, joint: str, folder: Path) -> pd.DataFrame:
@@ -79,10 +80,10 @@ def main() -> None:
         for positioner in options.positioners or positioners():
             for joint in JOINTS:
                 table = make_table(positioner, joint, folder)
-                own = diagnose_table(table, folder)
-                print(f"{positioner} {joint}: {', '.join(one.cause for one in own.findings)}", flush=True)
+                own = diagnose_table(table, folder).findings
+                print(f"{positioner} {joint}: {', '.join(one.cause for one in own)}", flush=True)
+                size = options.strength * NOISE / np.sqrt(len(table))
                 for cause, shape in shapes(table).items():
-                    size = options.strength * own.repeatability / np.sqrt(len(table))
                     steps = np.maximum(np.round(table["steps"] * np.exp(-size * shape)), 1).astype(int)
                     found = diagnose_table(table.assign(steps=steps), folder).findings
                     named = any(cause in (one.cause, *one.equivalent) for one in found)
