@@ -2,8 +2,8 @@
 
 Logs of the Cobra motor maps whose traverses have ends of their own (`tests/cobra/maps.py`), at times drawn at
 random, two minutes apart. The counts are changed by one effect whose rms over all traverses is `--strength`
-standard errors of a noise of 5 %, whatever noise the diagnosis finds. Part of it is lost to calibration and to
-the profile of each session and direction.
+standard errors of a noise of 5 %, whatever noise the diagnosis finds. Part of it is lost to calibration and
+to the profile of each session and direction.
 """
 
 import argparse
