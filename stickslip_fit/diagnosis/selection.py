@@ -398,7 +398,10 @@ def _reestimate_noise(
             break
         # What looked like structure may be where the noise is large.
     max_ratio = noise.heteroscedasticity.max_ratio / noise.heteroscedasticity.ratio
-    residual = left.residual * linearized.scale / problem.scale / max_ratio
+    # Rows that the structure follows closely have small residuals; beside them others would look outlying.
+    known = 1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE)
+    followed = np.minimum(left.leverage / known, MAX_LEVERAGE)
+    residual = left.residual / np.sqrt(1.0 - followed) * linearized.scale / problem.scale / max_ratio
     if problem.skewness is not None:
         residual = problem.skewness.symmetrize(residual)
     return problem, problem.linearize(), residual
