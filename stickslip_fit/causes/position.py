@@ -145,7 +145,7 @@ class GuideProfileCause(FactorCause):
         return super().explain_missing(rows)
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
-        """See `Cause.changes`: where only profiles vary along the guide, each distinct stretch counts once."""
+        """See `Cause.changes`: where profiles alone vary along the guide, a stretch counts once."""
         active = law.active_causes if isinstance(law, ExtendedLaw) else []
         along = [(cause, columns) for cause, columns in active if cause.varies_along_traverse]
         if any(isinstance(cause, CountCause) for cause, _ in active) or not all(
