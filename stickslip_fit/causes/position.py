@@ -14,7 +14,7 @@ import pandas as pd
 from stickslip_fit._format import format_percent
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray
-from stickslip_fit.causes.base import Cause, CountCause, ExtendedLaw, FactorCause
+from stickslip_fit.causes.base import Cause, CountCause, ExtendedLaw, FactorCause, extend
 from stickslip_fit.causes.parameters import CauseParameter, Row, Sizes
 from stickslip_fit.laws import Configuration, ConstantStep, State, StepLaw
 from stickslip_fit.units import PRISMATIC
@@ -145,14 +145,20 @@ class GuideProfileCause(FactorCause):
         return super().explain_missing(rows)
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
-        """See `Cause.changes`: under a published law, each distinct stretch is integrated once."""
-        if isinstance(law, ExtendedLaw):
+        """See `Cause.changes`: where profiles alone vary along the guide, a stretch counts once."""
+        active = law.active_causes if isinstance(law, ExtendedLaw) else []
+        along = [(cause, columns) for cause, columns in active if cause.varies_along_traverse]
+        if any(isinstance(cause, CountCause) for cause, _ in active) or not all(
+            isinstance(cause, GuideProfileCause) for cause, _ in along
+        ):
             return super().changes(law, rows, values, trials)
-        ends = np.stack([np.asarray(rows[end], dtype=float) for end in ("start", "stop")], axis=-1)
-        stretches, which = unique_rows(ends)
-        constant = ConstantStep(PRISMATIC, Configuration("anywhere"))
-        distinct = dict(zip(("start", "stop"), stretches.T, strict=True))
-        return Cause.changes(self, constant, distinct, np.ones((len(stretches), 1)), trials)[which]
+        ends = [np.asarray(rows[end], dtype=float) for end in ("start", "stop")]
+        profile = [values[:, columns.start : columns.stop] for _, columns in along]
+        stretches, which = unique_rows(np.column_stack([*ends, np.ones(len(values)), *profile]))
+        # What is constant along a traverse does not change by how much its steps differ.
+        constant = extend(ConstantStep(PRISMATIC, Configuration("anywhere")), *(cause for cause, _ in along))
+        distinct = dict(zip(("start", "stop"), stretches.T, strict=False))
+        return Cause.changes(self, constant, distinct, stretches[:, 2:], trials)[which]
 
 
 GUIDE_MIDDLE = 0.006  # m

@@ -19,7 +19,7 @@ from scipy.special import chdtrc, gammaln
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import CarryOverTerm
-from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms, expect_noise
+from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
 from stickslip_fit.diagnosis.hypotheses import compute_changes
 from stickslip_fit.diagnosis.linearized import LinearizedFit, RowSubset, linearize_fit
 from stickslip_fit.diagnosis.memory import AR1
@@ -144,7 +144,7 @@ def _refit(selection: Selection) -> _Refit:
     A law's own choice is no parameter of that fit: what the choice leaves open adds to errors only. As a
     parameter it would stand for a part of the effects, beyond any difference that the choice can make.
     """
-    fit, problem = selection.fit, expect_noise(selection.problem, selection.linearized)
+    fit, problem = selection.fit, selection.expected
     shrinkage, chosen = 1.0 / fit.prior_sd**2, problem.with_laws_as_chosen
     linearized, slopes, prior, inverse = _linearize_causes(chosen, selection, EFFECT_RANK_TOL)
     values = fit.values + inverse @ (slopes.T @ linearized.residual - shrinkage * fit.values)
@@ -167,7 +167,7 @@ def expected_covariance(selection: Selection) -> Array:
         return np.zeros((0, 0))
     problem = selection.problem
     _, slopes, prior, inverse = _linearize_causes(problem, selection, RANK_TOL)
-    times = expect_noise(problem, selection.linearized).scale / problem.scale
+    times = selection.expected.scale / problem.scale
     return _covariance(selection, slopes * times[:, None], prior, inverse)
 
 

@@ -411,21 +411,25 @@ def _held_out_rms(
             [simulate_selection(campaign, j, operators.training, sums, spread[j]) for j in range(k)], axis=1
         )
         held_out = operators.prediction.predicted
-        scale, plain = campaign.scale[held_out, None], operators.prediction.subtract_prediction(responses)
-        squares[:, 0] += np.sum((plain * scale) ** 2, axis=0)
+        scale = campaign.scale[held_out, None]
+        plain = operators.prediction.subtract_prediction(responses) * scale
+        plain_squares = np.einsum("ij,ij->j", plain, plain)
+        squares[:, 0] += plain_squares
         distinct, which = unique_rows(results)
         for number, result in enumerate(distinct):
             logs = np.flatnonzero(which == number)
             for step in range(1, k + 1):
                 place, penalties = _extension_columns(campaign, result[:step])
-                added = predict_extension(
+                held, sizes = fit_extension(
                     operators,
                     campaign.columns[:, place],
                     penalties,
                     sums.products[np.ix_(place, logs)],
                     None if operators.beyond is None else operators.beyond[:, place],
                 )
-                squares[logs, step] += np.sum(((plain[:, logs] - added) * scale) ** 2, axis=0)
+                held = held * scale  # of which a sum of squares needs products only
+                change = (held.T @ held) @ sizes - 2.0 * (held.T @ plain)[:, logs]
+                squares[logs, step] += plain_squares[logs] + np.einsum("ij,ij->j", sizes, change)
         count += len(held_out)
     return np.sqrt(squares / count)
 
@@ -497,10 +501,10 @@ def prepare_split(basis: csr_array, split: Split, recolour: Recolouring = keep_c
     return SplitOperators(training, prepare_calibration(basis, split.calibration, split.held_out, recolour))
 
 
-def predict_extension(
+def fit_extension(
     operators: SplitOperators, columns: Array, penalties: Array, products: Array, beyond: Array | None = None
-) -> Array:
-    """What causes sized by the training rows add to the held-out rows' prediction, whitened.
+) -> tuple[Array, Array]:
+    """Causes sized by the training rows, whose product is what they add to the held-out rows' prediction.
 
     Parameters
     ----------
@@ -516,12 +520,13 @@ def predict_extension(
 
     Returns
     -------
-    array, shape (number held out, m)
-        To be subtracted from the errors without the causes.
+    held_out : array, shape (number held out, q)
+        The directions there, whitened, less their own prediction.
+    sizes : array, shape (q, m)
     """
     penalised = np.concatenate([operators.training.subtract(columns), np.diag(penalties)])
     _, singular, right = np.linalg.svd(penalised, full_matrices=False)
     kept = singular > RANK_TOL * singular.max(initial=0.0)
     scaled = right[kept] / singular[kept, None]
     held_out = operators.prediction.subtract(columns)
-    return (held_out if beyond is None else held_out - beyond) @ (scaled.T @ (scaled @ products))
+    return held_out if beyond is None else held_out - beyond, scaled.T @ (scaled @ products)

@@ -60,7 +60,8 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     residuals = Residuals(symmetric, same, np.zeros((len(problem), 1)), same)
     uneven = estimate_unevenness(residuals, group_rows(linearized, problem.configuration, residuals))
     ratio = np.maximum(uneven.ratio, 1.0)
-    skewness = fit_skewness(z / ratio)
+    if np.any(ratio > 1.0):
+        skewness = fit_skewness(z / ratio)
 
     def compute_p_values(deviation: Array) -> Array:
         own = deviation if skewness is None else skewness.symmetrize(deviation)

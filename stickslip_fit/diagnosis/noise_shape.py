@@ -87,7 +87,6 @@ def fit_skewness(deviation: Array) -> Skewness | None:
 
     options: Any = {"xatol": 1e-3, "fatol": 1e-2, "maxiter": 400}
     tails = (5.0, 8.0, 15.0, 200.0)
-    symmetric = min(_minimize(negative_log, np.zeros(2), (df, 0.0), options).fun for df in tails)
     fits = [
         _minimize(negative_log, np.array([0.0, 0.0, start]), (df,), options)
         for df in TAIL_DF
@@ -95,7 +94,11 @@ def fit_skewness(deviation: Array) -> Skewness | None:
     ]
     best = min(fits, key=lambda fit: fit.fun)
     location, log_scale, g = best.x
-    if symmetric - best.fun < MIN_SKEW_LOG_RATIO or abs(g) > MAX_SKEW:
+    most = best.fun + MIN_SKEW_LOG_RATIO
+    # Where the same without skewness is nearly as likely, the likeliest symmetric noise need not be found.
+    if abs(g) > MAX_SKEW or any(negative_log(best.x, df, 0.0) < most for df in tails):
+        return None
+    if any(_minimize(negative_log, np.zeros(2), (df, 0.0), options).fun < most for df in tails):
         return None
     return Skewness(float(g), middle + unit * float(location), unit * float(np.exp(log_scale)))
 

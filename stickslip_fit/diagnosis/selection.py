@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -110,6 +111,11 @@ class Selection:
     linearized: LinearizedFit
     failed: tuple[str, ...] = ()
     influential: IntArray = field(default_factory=NO_ROWS.copy)
+
+    @cached_property
+    def expected(self) -> DiagnosisProblem:
+        """The problem with the expected variances of its noise."""
+        return expect_noise(self.problem, self.linearized)
 
     @property
     def law_causes(self) -> list[SelectedCause]:
@@ -341,8 +347,7 @@ def explain_outliers(selection: Selection, problem: DiagnosisProblem, outliers: 
         return outliers[:0]
     departure = predict_departures(selection, problem, outliers)
     # Of a joint and direction with few rows the repeatability may be far too small.
-    expected = expect_noise(selection.problem, selection.linearized)
-    noise = expected.repeatability[problem.noise_group[outliers]]
+    noise = selection.expected.repeatability[problem.noise_group[outliers]]
     free = 1.0 - np.minimum(problem.linearize().leverage[outliers], MAX_LEVERAGE)
     sd = np.sqrt((noise**2 + problem.rounding[outliers]) / free)  # of predictions by the other rows
     return outliers[(departure != 0) & (np.abs(departure) < OUTLYING_SD * sd)]

@@ -35,7 +35,7 @@ from stickslip_fit.diagnosis.gain_interval import (
     CompetingCauses,
     LinearizedCampaign,
     Responses,
-    predict_extension,
+    fit_extension,
     prepare_calibration,
     prepare_split,
     simulate_gain_intervals,
@@ -228,9 +228,8 @@ def test_linear_predictions_are_those_of_least_squares_on_the_other_rows():
         np.testing.assert_allclose(sums.products, products, atol=1e-9)
         place = campaign.places[0][1]
         chosen = campaign.columns[:, place][:, : len(penalties)]
-        found = operators.prediction.subtract_prediction(simulated) - predict_extension(
-            operators, chosen, penalties, sums.products[place][: len(penalties)]
-        )
+        added, sizes = fit_extension(operators, chosen, penalties, sums.products[place][: len(penalties)])
+        found = operators.prediction.subtract_prediction(simulated) - added @ sizes
         np.testing.assert_allclose(found, responses[held] - columns[held] @ fitted, atol=1e-9)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from stickslip_fit.diagnosis import diagnose, effect_interval
+from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.effect_interval import expected_covariance, linearize_unweighted
 from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.finding import shown_size
@@ -39,7 +39,7 @@ def test_errors_are_those_of_weighted_least_squares_under_other_noise(named, mon
     problem, q = selection.problem, len(selection.fit.values)
     times = np.where(np.random.default_rng(1).random(len(problem)) < 1 / 3, 2.0, 1.0)
     noisy = replace(problem, noise_ratio=times * problem.noise_ratio)
-    monkeypatch.setattr(effect_interval, "expect_noise", lambda *_: noisy)
+    monkeypatch.setitem(vars(selection), "expected", noisy)
     estimator = np.linalg.pinv(design_matrix(selection) / problem.scale[:, None])[-q:] / problem.scale
     by_hand = estimator * noisy.scale @ (estimator * noisy.scale).T
     assert expected_covariance(selection) == pytest.approx(by_hand, rel=1e-6)
@@ -60,7 +60,7 @@ def test_beside_memory_errors_are_those_under_correlated_noise(monkeypatch):
     for one, true in zip(found.findings, hidden.truth["effects"], strict=True):
         assert one.effect.low < true["effect_rms_pct"] / 100 < one.effect.high
     problem, q = selection.problem, len(selection.fit.values)
-    monkeypatch.setattr(effect_interval, "expect_noise", lambda *_: problem)
+    monkeypatch.setitem(vars(selection), "expected", problem)
     coefficient = selection.selected[1].misfit.best_hypothesis("unknown").coefficient
     distance = np.abs(np.subtract.outer(np.arange(len(problem)), np.arange(len(problem))))  # of one session
     estimator = np.linalg.pinv(design_matrix(selection) / problem.scale[:, None])[-q:]
