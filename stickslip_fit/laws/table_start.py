@@ -200,20 +200,29 @@ def find_linear(model: Model, values: Array, among: Sequence[int]) -> list[int]:
     Of two sets as large that which has the first parameters of `among`.
     """
     among = list(among)[:MAX_LINEAR]
-    singles = [k for k in among if is_linear(model, values, [k])]
-    pairs = {pair for pair in combinations(singles, 2) if is_linear(model, values, pair)}
+    there = model(values)
+    if is_linear(model, values, among, there):
+        return sorted(among)
+    singles = [k for k in among if is_linear(model, values, [k], there)]
+    pairs = {pair for pair in combinations(singles, 2) if is_linear(model, values, pair, there)}
     for size in range(len(singles), 0, -1):
         for some in combinations(singles, size):
-            if all(pair in pairs for pair in combinations(some, 2)) and is_linear(model, values, some):
+            if all(pair in pairs for pair in combinations(some, 2)) and is_linear(model, values, some, there):
                 return sorted(some)
     return []
 
 
-def is_linear(model: Model, values: Array, together: Sequence[int]) -> bool:
-    """Whether the prediction is linear in some parameters together, the others at `values`."""
-    base, slopes = model(values)
+def is_linear(
+    model: Model, values: Array, together: Sequence[int], there: tuple[Array, Array] | None = None
+) -> bool:
+    """Whether the prediction is linear in some parameters together, the others at `values`.
+
+    `there` is what the model gives at `values`, where that is known.
+    """
+    base, slopes = model(values) if there is None else there
     moved = values.copy()
-    moved[list(together)] += 1.0 + 0.37 * np.arange(1, len(together) + 1)
+    # No two of these shares are a ratio of small integers, at which products may cancel.
+    moved[list(together)] += 1.0 + np.sqrt(np.arange(2, 2 + len(together)) / 7.0)
     change = slopes @ (moved - values)
     size = np.abs(change).max(initial=0.0) + np.abs(base).max(initial=0.0)
     error = np.abs(model(moved)[0] - base - change)
