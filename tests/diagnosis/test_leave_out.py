@@ -244,7 +244,7 @@ def test_a_law_for_unknown_structure_before_a_cause_is_searched_anew():
 
 def test_several_causes_are_those_of_the_whole_selection_repeated():
     """Each is asked for again with the others in the law, and where it was named first."""
-    log = read_hidden(hide("thesis", ("cable-torque", "drift"), 14, seed=3))
+    log = read_hidden(hide("thesis", ("cable-torque", "drift"), 14, seed=3), (2,))
     causes = [cause for cause in library() if cause.name in FEW]
     problem = replace(problem_from_log(log, causes)[0], alternatives=alternatives)
     selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))

@@ -47,7 +47,7 @@ def test_what_follows_two_columns_is_proposed_for_both_and_predicts(tmp_path):
         return 0.15 * (x - 5.0) ** 2 + 1.2 * np.tanh(4.0 * z)
 
     law, fresh = "y ~ a + b*x + c*z", bent(6, bends, n=2000, sd=0.0)
-    frame = bent(5, bends, n=200, sd=0.3)
+    frame = bent(5, bends, sd=0.2)
     diagnosis = ssf.diagnose_table(frame, law)
     first, second = diagnosis.findings
     assert {(first.cause, first.carrier), (second.cause, second.carrier)} == {
