@@ -201,8 +201,6 @@ def find_linear(model: Model, values: Array, among: Sequence[int]) -> list[int]:
     """
     among = list(among)[:MAX_LINEAR]
     there = model(values)
-    if is_linear(model, values, among, there):
-        return sorted(among)
     singles = [k for k in among if is_linear(model, values, [k], there)]
     pairs = {pair for pair in combinations(singles, 2) if is_linear(model, values, pair, there)}
     for size in range(len(singles), 0, -1):
@@ -221,8 +219,7 @@ def is_linear(
     """
     base, slopes = model(values) if there is None else there
     moved = values.copy()
-    # No two of these shares are a ratio of small integers, at which products may cancel.
-    moved[list(together)] += 1.0 + np.sqrt(np.arange(2, 2 + len(together)) / 7.0)
+    moved[list(together)] += 1.0 + 0.37 * np.arange(1, len(together) + 1)
     change = slopes @ (moved - values)
     size = np.abs(change).max(initial=0.0) + np.abs(base).max(initial=0.0)
     error = np.abs(model(moved)[0] - base - change)
