@@ -200,24 +200,18 @@ def find_linear(model: Model, values: Array, among: Sequence[int]) -> list[int]:
     Of two sets as large that which has the first parameters of `among`.
     """
     among = list(among)[:MAX_LINEAR]
-    there = model(values)
-    singles = [k for k in among if is_linear(model, values, [k], there)]
-    pairs = {pair for pair in combinations(singles, 2) if is_linear(model, values, pair, there)}
+    singles = [k for k in among if is_linear(model, values, [k])]
+    pairs = {pair for pair in combinations(singles, 2) if is_linear(model, values, pair)}
     for size in range(len(singles), 0, -1):
         for some in combinations(singles, size):
-            if all(pair in pairs for pair in combinations(some, 2)) and is_linear(model, values, some, there):
+            if all(pair in pairs for pair in combinations(some, 2)) and is_linear(model, values, some):
                 return sorted(some)
     return []
 
 
-def is_linear(
-    model: Model, values: Array, together: Sequence[int], there: tuple[Array, Array] | None = None
-) -> bool:
-    """Whether the prediction is linear in some parameters together, the others at `values`.
-
-    `there` is what the model gives at `values`, where that is known.
-    """
-    base, slopes = model(values) if there is None else there
+def is_linear(model: Model, values: Array, together: Sequence[int]) -> bool:
+    """Whether the prediction is linear in some parameters together, the others at `values`."""
+    base, slopes = model(values)
     moved = values.copy()
     moved[list(together)] += 1.0 + 0.37 * np.arange(1, len(together) + 1)
     change = slopes @ (moved - values)
