@@ -164,7 +164,7 @@ def test_a_law_for_unknown_structure_is_searched_anew_in_each_fold():
     """Without the search for causes, whose answer is clear; as in the search repeated."""
     log = hide("session", ("unknown:product",), 25, seed=5, forms={"unknown:product": "load and hours"})
     causes = [cause for cause in library() if cause.name in FEW]
-    problem, _ = problem_from_log(read_hidden(log), causes)
+    problem, _ = problem_from_log(read_hidden(log, (3,)), causes)
     selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
     findings = size_findings(selection, selection.problem, ALPHA)
     assert [one.cause for one in findings] == [UNKNOWN]
@@ -173,7 +173,7 @@ def test_a_law_for_unknown_structure_is_searched_anew_in_each_fold():
         selection.problem, split, findings, partial(select_in_fold, alpha=ALPHA), (0, 0)
     )
     before, after = np.sqrt(np.mean(repeated**2, axis=1))
-    assert after < 0.9 * before
+    assert after < 0.5 * before
     confirmed = confirm_held_out_errors(looks, split, findings)
     np.testing.assert_allclose(confirmed[0], repeated[0], rtol=1e-6)
     assert np.sqrt(np.mean((confirmed[1] - repeated[1]) ** 2)) < 0.02 * after
@@ -227,7 +227,7 @@ def test_a_law_for_unknown_structure_is_searched_anew_beside_a_cause():
 def test_a_law_for_unknown_structure_before_a_cause_is_searched_anew():
     """As in the search repeated, where the cause was named after it."""
     hidden, forms = ("unknown:harmonic", "drift"), {"unknown:harmonic": "cos 3 q2"}
-    log = read_hidden(hide("session", hidden, (40, 14), seed=4, forms=forms))
+    log = read_hidden(hide("session", hidden, (60, 24), seed=4, forms=forms), (3,))
     causes = [cause for cause in library() if cause.name in FEW]
     selection, findings, confirmed, repeated = compare_with_repetition(log, causes)
     assert [one.cause for one in selection.selected] == [UNKNOWN, "drift"]
@@ -235,7 +235,7 @@ def test_a_law_for_unknown_structure_before_a_cause_is_searched_anew():
     assert after < 0.3 * before
     assert np.sqrt(np.mean((confirmed[-1] - repeated[-1]) ** 2)) < 0.1 * after
     unknown, drift = selection.selected
-    rivals = {**unknown.naming.log_evidence_by_cause, "cable-torque": 1e3}
+    rivals = {**unknown.naming.log_evidence_by_cause, "side-load": 1e3}
     hidden = replace(unknown, naming=replace(unknown.naming, log_evidence_by_cause=rivals))
     unclear = replace(selection, selected=(hidden, drift))
     split = hold_out_configurations(selection)[0]
@@ -244,7 +244,7 @@ def test_a_law_for_unknown_structure_before_a_cause_is_searched_anew():
 
 def test_several_causes_are_those_of_the_whole_selection_repeated():
     """Each is asked for again with the others in the law, and where it was named first."""
-    log = read_hidden(hide("thesis", ("cable-torque", "drift"), 14, seed=3))
+    log = read_hidden(hide("thesis", ("cable-torque", "drift"), 14, seed=3), (2,))
     causes = [cause for cause in library() if cause.name in FEW]
     problem = replace(problem_from_log(log, causes)[0], alternatives=alternatives)
     selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))

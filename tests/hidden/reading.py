@@ -1,5 +1,6 @@
 """Hidden logs as the package reads them, which what makes them does not know."""
 
+from collections.abc import Collection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -7,8 +8,9 @@ from stickslip_fit.logs import Log, read_log
 from tests.hidden.generate import Hidden
 
 
-def read_hidden(hidden: Hidden) -> Log:
-    """A hidden log as a user's file."""
+def read_hidden(hidden: Hidden, joints: Collection[int] = (1, 2, 3)) -> Log:
+    """A hidden log as a user's file, the traverses of some joints."""
     with TemporaryDirectory() as folder:
         hidden.write(Path(folder) / "log.csv")
-        return read_log(Path(folder) / "log.csv")
+        log = read_log(Path(folder) / "log.csv")
+    return log.select(log.rows["joint"].isin(joints)) if len(joints) < 3 else log

@@ -46,7 +46,7 @@ def test_a_hidden_cause_is_named(cause, design):
     assert cause in (found.found[0], *found.equivalent), (found.found, hidden.truth["effects"])
 
 
-@pytest.mark.parametrize("logs", [3, pytest.param(60, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("logs", [2, pytest.param(60, marks=pytest.mark.nightly)])
 def test_the_moment_of_a_jump_is_in_its_interval(logs):
     """Of 95 %; at strengths at which a jump is always found, but its moment is open."""
     held, widths = 0, []

@@ -115,7 +115,7 @@ def test_rows_that_a_named_cause_explains_come_back():
 
 def test_a_very_strong_effect_is_no_gross_error():
     hidden = hide("session", ("thermal-warm-up",), 60.0, seed=2)
-    found = diagnose(read_hidden(hidden), gain=False)
+    found = diagnose(read_hidden(hidden, (3,)), gain=False)
     assert "thermal-warm-up" in found.findings[0].cause_set
     assert all(each.cause != MISFIRE for each in found.findings)
 

@@ -152,8 +152,8 @@ def test_texts_that_do_nothing_are_not_named():
 
 def test_a_table_of_nothing_but_texts_is_explained_to_the_end():
     rng = np.random.default_rng(5)
-    one, other = rng.integers(3, size=90), rng.integers(2, size=90)
-    y = np.array([0.0, 1.0, -1.0])[one] + np.array([0.0, 0.8])[other] + 0.3 * rng.standard_normal(90)
+    one, other = rng.integers(3, size=60), rng.integers(2, size=60)
+    y = np.array([0.0, 1.0, -1.0])[one] + np.array([0.0, 0.8])[other] + 0.3 * rng.standard_normal(60)
     frame = pd.DataFrame(
         {"poison": np.array(["i", "ii", "iii"])[one], "treat": np.array(["A", "B"])[other], "y": y}
     )

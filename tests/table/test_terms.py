@@ -47,7 +47,7 @@ def test_what_follows_two_columns_is_proposed_for_both_and_predicts(tmp_path):
         return 0.15 * (x - 5.0) ** 2 + 1.2 * np.tanh(4.0 * z)
 
     law, fresh = "y ~ a + b*x + c*z", bent(6, bends, n=2000, sd=0.0)
-    frame = bent(5, bends, n=200, sd=0.3)
+    frame = bent(5, bends, sd=0.2)
     diagnosis = ssf.diagnose_table(frame, law)
     first, second = diagnosis.findings
     assert {(first.cause, first.carrier), (second.cause, second.carrier)} == {
@@ -209,8 +209,8 @@ def test_an_alternative_by_direction_is_signed_before_the_noise_is_filtered():
 
 def test_what_comes_and_goes_slowly_at_irregular_times_gets_a_law():
     rng = np.random.default_rng(9)
-    t = np.sort(rng.uniform(0.0, 1000.0, 80))
-    y = 5.0 + np.sin(2.0 * np.pi * t / 900.0) + 0.2 * rng.standard_normal(80)
+    t = np.sort(rng.uniform(0.0, 1000.0, 50))
+    y = 5.0 + np.sin(2.0 * np.pi * t / 900.0) + 0.2 * rng.standard_normal(50)
     found = ssf.diagnose_table(pd.DataFrame({"t": t, "y": y}), "y ~ mean", time="t")
     assert found.findings[-1].version is not None
     assert found.gain.extended < 0.5 * found.gain.baseline

@@ -35,7 +35,9 @@ def outlying():
 def unnamed():
     frame = bench(2, difference=0.0)
     frame["F"] += 0.5 * np.sin(8 * frame["q"] / 0.1)
-    return ssf.diagnose_table(frame, LAW, position="q", causes=[BY_DIRECTION, CUBIC], generic_causes=())
+    return ssf.diagnose_table(
+        frame, LAW, position="q", causes=[BY_DIRECTION, CUBIC], generic_causes=(), gain=False
+    )
 
 
 CASES = ("named", "independent", "nothing", "outlying", "unnamed")
