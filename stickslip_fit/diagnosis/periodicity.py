@@ -92,10 +92,16 @@ def find_period(
         """What the criterion says of a wave, and the noise beside it."""
         mean = np.concatenate([effects, wave(period, number)], axis=1)
         noise = Autocorrelation(sample, None, estimate_autoregression(linearized, mean, sample))
-        return criterion(linearized, mean, noise) - number * float(np.log(len(sample))), noise
+        return criterion(linearized, mean, noise, len(noise.coefficients)) - number * float(
+            np.log(len(sample))
+        ), noise
 
     without = Autocorrelation(sample, None, estimate_autoregression(linearized, effects, sample))
-    least = criterion(linearized, effects, without) + np.log(len(allowed)) + MIN_ADVANTAGE
+    least = (
+        criterion(linearized, effects, without, len(without.coefficients))
+        + np.log(len(allowed))
+        + MIN_ADVANTAGE
+    )
     best, found = float(least), None
     # Slow noise hides a wave among independent values, and noise that swings takes it into itself. Of a wave
     # with harmonics, one of them may be the strongest.

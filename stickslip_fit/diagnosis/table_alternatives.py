@@ -60,6 +60,8 @@ class TableAlternatives:
         Whether the autocorrelation of the noise is removed.
     response, unit : str
         Name and unit of the response.
+    courses : bool
+        Whether each session's own course in time is told from noise that persists.
     labels : tuple of str
         The two values of a direction that is not of numbers.
     """
@@ -70,6 +72,7 @@ class TableAlternatives:
     response: str
     unit: str
     labels: tuple[str, ...] = ()
+    courses: bool = False
 
     @classmethod
     def of(
@@ -158,15 +161,16 @@ class TableAlternatives:
         if len(sessions) >= MIN_SESSIONS or not self.sampled:
             alike = linearized.project(linearized.whiten(waves))
             hypotheses.append(make_hypothesis("unknown:time, the same in each session", None, None, alike))
-        if not self.sampled:
+        if self.courses or not self.sampled:
             own = linearized.whiten(waves)[:, None]
             slow = build_per_session_hypotheses(["unknown:time"], n, sessions, own)
-            if len(sessions) == 1:
-                orders = tuple((k,) for k in range(1, waves.shape[1] + 1))
-                limits = ((0.0, float(seconds.max())),)
-                term = self._smooth(("session_seconds",), limits, orders, tuple(1.0 / k for (k,) in orders))
-                slow = [replace(one, version=term) for one in slow]
-            hypotheses += slow
+            orders = tuple((k,) for k in range(1, waves.shape[1] + 1))
+            limits = ((0.0, float(seconds.max())),)
+            term = self._smooth(("session_seconds",), limits, orders, tuple(1.0 / k for (k,) in orders))
+            if len(sessions) > 1:
+                term = replace(term, sessions=tuple(map(str, dict.fromkeys(rows["session"].astype(object)))))
+            hypotheses += [replace(one, version=term) for one in slow]
+        if not self.sampled:
             before = previous_rows(session.astype(np.int64)).astype(np.intp)
             sequences = Sequences.of(before, linearized.basis)
             hypotheses += [AR1("unknown:memory", sequences, phi) for phi in AR1_COEFFICIENTS]

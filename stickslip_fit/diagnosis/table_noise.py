@@ -16,7 +16,7 @@ from stickslip_fit.causes.periodic import PeriodicTime
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_finite_effects
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.mean_structure import find_mean_effects
+from stickslip_fit.diagnosis.mean_structure import find_mean_effects, find_session_courses
 from stickslip_fit.diagnosis.periodicity import find_period
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.table_alternatives import MIN_CYCLES, TableAlternatives, leading_directions
@@ -45,9 +45,14 @@ def with_samples(
     # Waves are looked for apart, at finer periods, and with harmonics.
     shapes += [one.directions for one in alternatives.shapes(linearized) if isinstance(one, Hypothesis)]
     wave, mean = None, np.zeros((len(problem), 0))
-    for step in ("wave", "effects", "wave"):
+    for step in ("wave", "effects", "courses", "wave"):
         if step == "effects":
             mean = np.concatenate([mean, find_mean_effects(linearized, shapes, mean, sample)], axis=1)
+        elif step == "courses":
+            courses = find_session_courses(linearized, mean, sample)
+            mean = np.concatenate([mean, courses], axis=1)
+            if courses.shape[1]:
+                problem = replace(problem, alternatives=replace(alternatives, courses=True))
         elif wave is None and time_unit is not None:
             wave = _find_wave(problem, linearized, mean, sample, time_unit)
             if wave is not None:
