@@ -8,25 +8,22 @@ criterion (G. Schwarz, Ann. Stat. 6:461, 1978), the logarithm of the number of e
 noise really persists, noise alone has the better of it, since no effect makes its innovations much smaller.
 
 So are polynomials in time, each session's own: a law may lack something else in every session, as of another
-body that falls. Beside them noise close to a unit root persists less, and noise that wanders slowly beneath
-white noise has an autoregression too long to be estimated; they are compared with such noise, too, and need
-a greater advantage (`benchmarks/README.md`).
+body that falls. Since noise close to a unit root persists less beside them, they need a greater advantage
+(`benchmarks/README.md`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import product
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
-from scipy.linalg import solve_toeplitz
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.autocorrelation import (
     SPAN_TOL,
     Autocorrelation,
-    estimate_autoregression,
+    estimate_noise,
     spanning,
 )
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL
@@ -37,10 +34,6 @@ MIN_ADVANTAGE, MIN_COURSE_ADVANTAGE = 3.0, 15.0  # nats beyond what the criterio
 MAX_SHARE = 0.2  # of the rows, of an effect's directions
 ACTIVE_TOL = 1e-6  # of an effect's largest value, below which it does not act in a row
 MAX_DEGREE, MAX_COURSE_DIRECTIONS = 6, 200  # of a polynomial; of all sessions' polynomials
-# Of noise that wanders beneath white noise, e[t] = phi e[t-1] + w[t] - theta w[t-1]: phi, theta; the order of
-# the autoregression that stands for it.
-WANDERING = tuple(product((0.8, 0.9, 0.95, 0.98, 0.99, 0.998), (0.0, 0.3, 0.5, 0.7, 0.8, 0.9)))
-LONG_ORDER = 25
 
 
 def find_mean_effects(
@@ -101,25 +94,9 @@ def find_session_courses(linearized: LinearizedFit, known: Array, sample: IntArr
         _judge(linearized, np.concatenate([known, one], axis=1), sample)[1] - price(one) for one in tried
     ]
     least = max(values, default=-np.inf) - MIN_COURSE_ADVANTAGE
-    if least < _judge(linearized, known, sample)[1] or least < _judge_wandering(linearized, known, sample):
+    if least < _judge(linearized, known, sample)[1]:
         return known[:, :0]
     return tried[int(np.argmax(values))]
-
-
-def _judge_wandering(linearized: LinearizedFit, mean: Array, sample: IntArray) -> float:
-    """What the criterion says of noise that wanders slowly beneath white noise."""
-    noises = [Autocorrelation(sample, None, _wandering_coefficients(*one)) for one in WANDERING]
-    return max(criterion(linearized, mean, noise, 2) for noise in noises)
-
-
-def _wandering_coefficients(phi: float, theta: float) -> Array:
-    """The autoregression, shape (LONG_ORDER,), with the autocorrelations of ARMA(1, 1) noise.
-
-    G. Box and G. Jenkins, Time Series Analysis, 1976, section 3.4.3.
-    """
-    first = (phi - theta) * (1.0 - phi * theta) / (1.0 - 2.0 * phi * theta + theta**2)
-    correlation = np.append(1.0, first * phi ** np.arange(LONG_ORDER))
-    return np.asarray(solve_toeplitz(correlation[:-1], correlation[1:]))
 
 
 def _session_polynomials(linearized: LinearizedFit) -> Iterator[Array]:
@@ -139,8 +116,8 @@ def _session_polynomials(linearized: LinearizedFit) -> Iterator[Array]:
 
 def _judge(linearized: LinearizedFit, mean: Array, sample: IntArray) -> tuple[Autocorrelation, float]:
     """The noise beside a mean, and what the criterion says of both."""
-    noise = Autocorrelation(sample, None, estimate_autoregression(linearized, mean, sample))
-    return noise, criterion(linearized, mean, noise, len(noise.coefficients))
+    noise = estimate_noise(linearized, mean, sample)
+    return noise, criterion(linearized, mean, noise)
 
 
 def _most_explained(
@@ -168,12 +145,12 @@ def _whitened(effects: Sequence[Array], noise: Autocorrelation) -> Iterator[Arra
     yield from np.split(noise.whiten(np.concatenate(effects, axis=1)), ends, axis=1)
 
 
-def criterion(linearized: LinearizedFit, mean: Array, noise: Autocorrelation, n_free: int) -> float:
-    """Log likelihood with an autoregression, less what the criterion asks for its free parameters."""
+def criterion(linearized: LinearizedFit, mean: Array, noise: Autocorrelation) -> float:
+    """Log likelihood with an autoregression, less what the criterion asks for its parameters."""
     columns = np.concatenate([linearized.basis.toarray(), mean, linearized.residual[:, None]], axis=1)
     columns, n = noise.whiten(columns), len(columns)
     size = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=None)[0]
     innovations = columns[:, -1] - columns[:, :-1] @ size
     squares = max(float(innovations @ innovations), float(np.finfo(float).tiny))
     log_determinant = noise.log_determinant if len(noise.coefficients) else 0.0
-    return log_determinant - 0.5 * n * float(np.log(squares)) - 0.5 * n_free * float(np.log(n))
+    return log_determinant - 0.5 * n * float(np.log(squares)) - 0.5 * noise.n_free * float(np.log(n))

@@ -58,7 +58,7 @@ def with_samples(
             if wave is not None:
                 functions = linearized.whiten(wave.functions(problem.rows))
                 mean = np.concatenate([mean, linearized.project(functions)], axis=1)
-    mean = np.concatenate([mean, directions], axis=1)
+    mean = np.concatenate([mean, find_mean_effects(linearized, [directions], mean, sample)], axis=1)
     mean /= np.maximum(np.linalg.norm(mean, axis=0), np.finfo(float).tiny)
     scaled = mean * np.sqrt(len(problem)) * float(problem.repeatability[0])
     causes = problem.causes if wave is None else (*problem.causes, wave)
