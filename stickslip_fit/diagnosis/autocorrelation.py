@@ -48,8 +48,10 @@ MAX_SHARE_OF_SEQUENCE = 0.4  # over which noise persists
 MAX_SHOCKS, MAX_SHOCK_ROWS, MIN_SHOCK_SD = 6, 10, 5.0  # outliers and lasting changes, beside the noise
 LEAST_SWING, SHORTEST_SWING = 0.15, 4.0  # of an oscillation after a period; rows
 # Of noise that wanders: its autoregression's order, and phi and theta from which its search begins.
-LONG_ORDER = 12
-WANDERING = tuple(product((0.8, 0.9, 0.95, 0.98, 0.99, 0.998), (0.3, 0.5, 0.7, 0.8, 0.9)))
+LONG_ORDER = 8
+WANDERING = tuple(product((0.9, 0.98, 0.998), (0.4, 0.7, 0.9)))
+MAX_BEHIND = 3.0  # nats by which it may fall behind where that begins
+ACTIVE_TOL = 1e-6  # of an effect's largest value, below which it does not act in a row
 MEDIAN_OF_NORMAL = float(ndtri(0.75))  # of the absolute values of standard normal noise
 SPAN_TOL, MIN_LENGTH = 1e-6, 1e-300  # of the largest singular value; of a column
 SPACING_TOL = 0.25  # of the interval between samples
@@ -67,6 +69,8 @@ class Autocorrelation:
         Number of each sample: neighbours in time differ by 1, all others by more.
     candidate_effects : array, shape (n, m), or None
         Effects, in units of the response, that count as part of the mean; None once the estimate is final.
+    possible_effects : array, shape (n, k), or None
+        More of them, which count where that is likelier.
     coefficients : array, shape (p,)
         Of the values before, the nearest first; empty for independent noise.
     n_free : int
@@ -77,6 +81,7 @@ class Autocorrelation:
     candidate_effects: Array | None
     coefficients: Array = field(default_factory=lambda: np.zeros(0))
     n_free: int = 0
+    possible_effects: Array | None = None
 
     @cached_property
     def noise_filter(self) -> csr_array | None:
@@ -120,12 +125,17 @@ class Autocorrelation:
 
     def select(self, kept: IntArray) -> Autocorrelation:
         """That of some rows."""
-        effects = None if self.candidate_effects is None else self.candidate_effects[kept]
-        return replace(self, sample=self.sample[kept], candidate_effects=effects)
+        effects = (
+            None if one is None else one[kept] for one in (self.candidate_effects, self.possible_effects)
+        )
+        candidates, possible = effects
+        return replace(
+            self, sample=self.sample[kept], candidate_effects=candidates, possible_effects=possible
+        )
 
     def settle(self) -> Autocorrelation:
         """The same, not to be estimated again."""
-        return replace(self, candidate_effects=None)
+        return replace(self, candidate_effects=None, possible_effects=None)
 
     def shorten(self) -> Autocorrelation:
         """The same with an autocorrelation time of at most a share of the longest sequence."""
@@ -148,11 +158,10 @@ class Autocorrelation:
         """The autoregression of a fit whose noise counts as independent (`linearized` has no filter)."""
         if self.candidate_effects is None:
             return self
-        effects = linearized.project(linearized.whiten(self.candidate_effects))
-        shocks = 0
+        effects, shocks = self._choose_effects(linearized, self.candidate_effects), 0
         while True:
-            noise = estimate_noise(linearized, effects, self.sample)
-            found, before = replace(noise, candidate_effects=self.candidate_effects).shorten(), shocks
+            noise, before = estimate_noise(linearized, effects, self.sample), shocks
+            found = replace(self, coefficients=noise.coefficients, n_free=noise.n_free).shorten()
             # All shocks that this noise does not explain, before the noise is estimated anew.
             while shocks < MAX_SHOCKS:
                 shock = find_shock(linearized, effects, found)
@@ -163,6 +172,19 @@ class Autocorrelation:
             if shocks == before:
                 break
         return found
+
+    def _choose_effects(self, linearized: LinearizedFit, candidates: Array) -> Array:
+        """Those that count as part of the mean, whitened and projected."""
+        certain = linearized.project(linearized.whiten(candidates))
+        if self.possible_effects is None:
+            return certain
+        possible = spanning(linearized.project(linearized.whiten(self.possible_effects)))
+        every = np.concatenate([certain, possible], axis=1)
+        alone, beside = (
+            criterion(linearized, mean, estimate_noise(linearized, mean, self.sample))
+            for mean in (certain, every)
+        )
+        return every if beside - price(possible) > alone else certain
 
 
 def variance_over_innovations(coefficients: Array) -> float:
@@ -271,24 +293,29 @@ def estimate_noise(linearized: LinearizedFit, effects: Array, sample: IntArray) 
         if without_gain == MAX_WITHOUT_GAIN:
             break
     if linked >= 2 * ROWS_PER_ORDER:
-        wandering = _fit_wandering(likelihood)
+        wandering = _fit_wandering(likelihood, best + MAX_BEHIND)
         if likelihood.criterion(wandering, 2) < best:
             found, n_free = wandering, 2
     return Autocorrelation(sample, None, predict_from_partials(found) if n_free else found, n_free)
 
 
-def _fit_wandering(likelihood: RestrictedLikelihood) -> Array:
-    """Partial autocorrelations of the likeliest noise that wanders, shape (LONG_ORDER,)."""
+def _fit_wandering(likelihood: RestrictedLikelihood, most: float) -> Array:
+    """Partial autocorrelations of the likeliest noise that wanders, shape (LONG_ORDER,).
+
+    Where the criterion is above `most` at all of `WANDERING`, one of these.
+    """
     from scipy.optimize import minimize
 
-    def negative_log(z: Array) -> float:
+    def criterion(z: Array) -> float:
         with suppress(np.linalg.LinAlgError):
-            return likelihood.negative_log(_wandering_partials(*np.tanh(z)))
+            return likelihood.criterion(_wandering_partials(*np.tanh(z)), 2)
         return np.inf
 
-    start = min((np.arctanh(one) for one in WANDERING), key=negative_log)
+    start = min((np.arctanh(one) for one in WANDERING), key=criterion)
+    if criterion(start) > most:
+        return _wandering_partials(*np.tanh(start))
     bounds = [(0.0, float(np.arctanh(LARGEST_PARTIALS[0])))] * 2
-    result = minimize(negative_log, start, method="Nelder-Mead", bounds=bounds, options={"maxfev": 40})
+    result = minimize(criterion, start, method="Nelder-Mead", bounds=bounds, options={"maxfev": 40})
     return _wandering_partials(*np.tanh(result.x))
 
 
@@ -297,6 +324,23 @@ def _wandering_partials(phi: float, theta: float) -> Array:
     first = (phi - theta) * (1.0 - phi * theta) / (1.0 - 2.0 * phi * theta + theta**2)
     correlation = np.append(1.0, first * phi ** np.arange(LONG_ORDER))
     return partial_autocorrelations(solve_toeplitz(correlation[:-1], correlation[1:]))
+
+
+def price(effect: Array) -> float:
+    """What the criterion asks for an effect's directions, shape (n, q), each acting in some of the rows."""
+    size = np.abs(effect)
+    return 0.5 * float(np.sum(np.log(np.sum(size > ACTIVE_TOL * size.max(axis=0), axis=0))))
+
+
+def criterion(linearized: LinearizedFit, mean: Array, noise: Autocorrelation) -> float:
+    """Log likelihood with an autoregression, less what the criterion asks for its parameters."""
+    columns = np.concatenate([linearized.basis.toarray(), mean, linearized.residual[:, None]], axis=1)
+    columns, n = noise.whiten(columns), len(columns)
+    size = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=None)[0]
+    innovations = columns[:, -1] - columns[:, :-1] @ size
+    squares = max(float(innovations @ innovations), float(np.finfo(float).tiny))
+    log_determinant = noise.log_determinant if len(noise.coefficients) else 0.0
+    return log_determinant - 0.5 * n * float(np.log(squares)) - 0.5 * noise.n_free * float(np.log(n))
 
 
 def find_shock(linearized: LinearizedFit, effects: Array, noise: Autocorrelation) -> Array | None:

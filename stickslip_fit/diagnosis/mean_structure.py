@@ -23,7 +23,9 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.autocorrelation import (
     SPAN_TOL,
     Autocorrelation,
+    criterion,
     estimate_noise,
+    price,
     spanning,
 )
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL
@@ -32,7 +34,6 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit
 MAX_EFFECTS = 4
 MIN_ADVANTAGE, MIN_COURSE_ADVANTAGE = 3.0, 15.0  # nats beyond what the criterion asks for; of polynomials
 MAX_SHARE = 0.2  # of the rows, of an effect's directions
-ACTIVE_TOL = 1e-6  # of an effect's largest value, below which it does not act in a row
 MAX_DEGREE, MAX_COURSE_DIRECTIONS = 6, 200  # of a polynomial; of all sessions' polynomials
 
 
@@ -75,12 +76,6 @@ def find_mean_effects(
         found = np.concatenate([found, better[1]], axis=1)
         noise, value = better[2:]
     return found
-
-
-def price(effect: Array) -> float:
-    """What the criterion asks for an effect's directions, shape (n, q), each acting in some of the rows."""
-    size = np.abs(effect)
-    return 0.5 * float(np.sum(np.log(np.sum(size > ACTIVE_TOL * size.max(axis=0), axis=0))))
 
 
 def find_session_courses(linearized: LinearizedFit, known: Array, sample: IntArray) -> Array:
@@ -143,14 +138,3 @@ def _whitened(effects: Sequence[Array], noise: Autocorrelation) -> Iterator[Arra
     """Each effect under some noise; all are filtered at once."""
     ends = np.cumsum([one.shape[1] for one in effects])[:-1]
     yield from np.split(noise.whiten(np.concatenate(effects, axis=1)), ends, axis=1)
-
-
-def criterion(linearized: LinearizedFit, mean: Array, noise: Autocorrelation) -> float:
-    """Log likelihood with an autoregression, less what the criterion asks for its parameters."""
-    columns = np.concatenate([linearized.basis.toarray(), mean, linearized.residual[:, None]], axis=1)
-    columns, n = noise.whiten(columns), len(columns)
-    size = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=None)[0]
-    innovations = columns[:, -1] - columns[:, :-1] @ size
-    squares = max(float(innovations @ innovations), float(np.finfo(float).tiny))
-    log_determinant = noise.log_determinant if len(noise.coefficients) else 0.0
-    return log_determinant - 0.5 * n * float(np.log(squares)) - 0.5 * noise.n_free * float(np.log(n))

@@ -39,7 +39,6 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1, AR1_COEFFICIENTS, Sequences
 from stickslip_fit.logs.history import previous_rows
 
-DIRECTION_TOL = 1e-3  # of the largest singular value
 PAIR_LENGTH, MAX_PAIR_COLUMNS = 0.4, 7  # correlation length of a function of two columns; columns
 MIN_SESSIONS = 3  # for what comes back in every session of a sampled signal
 MIN_CYCLES = 2.5  # of a periodic disturbance in a session of a sampled signal
@@ -305,11 +304,3 @@ def response_columns(law: Any) -> tuple[str, ...]:
     """Columns of the response of a law."""
     left = getattr(law, "left", None)
     return tuple(left.names) if left is not None else (law.response_name,)
-
-
-def leading_directions(effects: Sequence[Array], most: int) -> Array:
-    """Directions that carry most of some effects of equal weight, each shape (n, m_i); shape (n, m)."""
-    lengths = [float(np.linalg.norm(one)) for one in effects]
-    columns = [one / (length or 1.0) for one, length in zip(effects, lengths, strict=True)]
-    left, singular, _ = np.linalg.svd(np.concatenate(columns, axis=1), full_matrices=False)
-    return np.asarray(left[:, singular > DIRECTION_TOL * max(float(singular[0]), 1e-300)][:, :most])
