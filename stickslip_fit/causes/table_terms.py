@@ -44,6 +44,8 @@ class SmoothTableTerm(GenericCause):
         Prior standard deviation of each function's coefficient, in the unit of the response.
     response : str
         Name of the response.
+    sessions : tuple of str
+        With a function of each; without, one function for all.
     """
 
     carriers: tuple[str, ...]
@@ -51,30 +53,36 @@ class SmoothTableTerm(GenericCause):
     orders: tuple[tuple[int, ...], ...]
     sds: tuple[float, ...]
     response: str = ""
+    sessions: tuple[str, ...] = ()
 
     base_name = "smooth-term"
     base_phrase = "the response follows something smoothly that no cause describes"
     physics = "Whatever the carrier stands for: the table alone shows that the response follows it smoothly."
     shows_best = "one condition at the lowest and at the highest values of the carrier"
     combine_trials = True
+    shape = "a smooth function"
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
         """See `Cause`."""
-        return tuple(name for name in self.carriers if name != PREDICTION)
+        own = tuple(name for name in self.carriers if name != PREDICTION)
+        return (*own, "session") if self.sessions else own
 
     @property
     def constant_beyond(self) -> tuple[str, ...]:  # type: ignore[override]
         """See `TableCause`."""
-        return self.columns
+        return tuple(name for name in self.carriers if name != PREDICTION)
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `Cause`."""
-        meaning = f"of a smooth function of {' and '.join(self.carriers)}"
+        meaning = f"of {self.shape} of {' and '.join(self.carriers)}"
         unit = TableUnit(self.unit)
         return tuple(
-            CauseParameter(f"c{number}", unit, f"coefficient {number} {meaning}", prior_sd=sd)
+            CauseParameter(
+                f"c{number}", unit, f"coefficient {number} {meaning}", session=session, prior_sd=sd
+            )
+            for session in self.sessions or (None,)
             for number, sd in enumerate(self.sds, 1)
         )
 
@@ -91,7 +99,15 @@ class SmoothTableTerm(GenericCause):
         return "measurement" if PREDICTION in self.carriers else "term"
 
     def functions(self, rows: Rows, prediction: Array | None = None) -> Array:
-        """Each function in each row, shape (n, q)."""
+        """Each function in each row, session by session, shape (n, q)."""
+        waves = self._waves(rows, prediction)
+        if not self.sessions:
+            return waves
+        inside = np.asarray(rows["session"], object).astype(str)[:, None] == np.array(self.sessions)
+        return np.asarray((inside[:, :, None] * waves[:, None]).reshape(len(waves), -1))
+
+    def _waves(self, rows: Rows, prediction: Array | None) -> Array:
+        """Each function in each row, as if all were of one session."""
         values = [
             np.asarray(prediction if name == PREDICTION else rows[name], float) for name in self.carriers
         ]
@@ -137,12 +153,10 @@ class PeriodicTableTerm(SmoothTableTerm):
     ----------
     period : float
         In the unit of the time.
-    sessions : tuple of str
     time_unit : str
     """
 
     period: float
-    sessions: tuple[str, ...]
     time_unit: str = "s"
     orders: tuple[tuple[int, ...], ...] = ((1,), (2,))  # the cosine and the sine of each harmonic
     carriers: tuple[str, ...] = ("session_seconds",)
@@ -153,6 +167,7 @@ class PeriodicTableTerm(SmoothTableTerm):
     shows_best = "one condition again and again, at most a quarter of the period apart"
     columns = ("session", "session_seconds")
     constant_beyond = ()
+    shape = "a wave"
 
     def __str__(self) -> str:
         """Its period in words.
@@ -164,22 +179,9 @@ class PeriodicTableTerm(SmoothTableTerm):
         """
         return f"period of {format_duration(self.period, self.time_unit)}"
 
-    @property
-    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
-        unit = TableUnit(self.unit)
-        return tuple(
-            CauseParameter(f"c{number}", unit, "coefficient of a wave in time", session=session, prior_sd=sd)
-            for session in self.sessions
-            for number, sd in enumerate(self.sds, 1)
-        )
-
-    def functions(self, rows: Rows, prediction: Array | None = None) -> Array:
-        """See `SmoothTableTerm`: cosine and sine of each harmonic, session by session."""
-        seconds = np.asarray(rows["session_seconds"], float)
-        waves = harmonics(seconds, self.period, len(self.orders) // 2)[:, None]
-        inside = np.asarray(rows["session"], object).astype(str)[:, None] == np.array(self.sessions)
-        return np.asarray((inside[:, :, None] * waves).reshape(len(seconds), -1))
+    def _waves(self, rows: Rows, prediction: Array | None) -> Array:
+        """Cosine and sine of each harmonic."""
+        return harmonics(np.asarray(rows["session_seconds"], float), self.period, len(self.orders) // 2)
 
     def with_harmonics(self) -> Self:
         """The same with harmonics, each expected to be smaller in proportion to its order."""

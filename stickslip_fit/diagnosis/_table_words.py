@@ -103,7 +103,7 @@ class TableWords(Words):
         """See `Words`."""
         first, *others = self.diagnosis.findings
         sides = map(self.describe_side_effect, others)
-        return [f"{self.describe_finding(first)}.", *sides, self._describe_gain()]
+        return [f"{self.describe_finding(first)}.", *sides, self._describe_gain(), *self._describe_suspects()]
 
     def describe_carrier(self, carrier: str) -> str:
         """See `Words`."""
@@ -206,7 +206,7 @@ class TableWords(Words):
         diagnosis, selection = self.diagnosis, self.diagnosis.selection
         if not np.isfinite(diagnosis.repeatability):
             return []
-        linearized = selection.problem.linearize()
+        linearized = selection.linearized
         size = linearized.residual / np.sqrt(np.maximum(1.0 - linearized.leverage, MIN_KEPT))
         size /= max(float(np.median(np.abs(size))) / MEDIAN_OF_NORMAL, np.finfo(float).tiny)
         far = np.argsort(-np.abs(size))[:MAX_SUSPECTS]
@@ -218,16 +218,19 @@ class TableWords(Words):
         if linearized.noise_filter is not None:
             left = left / linearized.noise_filter.diagonal()
             foretold = " what the rows before foretell"
-        numbers = selection.problem.rows[ROW_NUMBER].to_numpy() + 1
+        numbers = linearized.rows[ROW_NUMBER].to_numpy() + 1
         named = join_words(
             [f"row {numbers[row]} ({self.table.format_signed(float(left[row]))})" for row in far]
         )
         largest = float(np.abs(size[far]).max())
-        return [
+        check = (
             f"Check {named}: up to {format_significant(largest, 2)} standard deviations off{foretold}, by "
-            f"the scatter of the others. {_describe_rarity(largest, self.table, diagnosis.alpha)}, so that "
-            "nothing is set aside."
-        ]
+            "the scatter of the others."
+        )
+        if diagnosis.findings:
+            return [f"{check} A mistake there would bear on all of this: correct it, and repeat."]
+        rarity = _describe_rarity(largest, self.table, diagnosis.alpha)
+        return [f"{check} {rarity}, so that nothing is set aside."]
 
 
 def _list_sizes(finding: Finding) -> list[str]:

@@ -9,6 +9,11 @@ The order minimizes the Bayesian information criterion (G. Schwarz, Ann. Stat. 6
 searched as partial autocorrelations, between -1 and 1 for every stationary autoregression (O.
 Barndorff-Nielsen and G. Schou, J. Multivar. Anal. 3:408, 1973).
 
+Many instruments wander slowly beneath white noise, or flicker; their autoregression is long, its
+coefficients small, and what wanders would be taken for something that the law lacks. So ARMA(1, 1) noise,
+e[t] = phi e[t-1] + w[t] - theta w[t-1] with white w, is one more candidate, as the long autoregression with
+its autocorrelations (G. Box and G. Jenkins, Time Series Analysis, 1976, section 3.4).
+
 The prediction-error filter subtracts from each value its prediction from those before it, exactly from the
 first one of a sequence on, where there are fewer than p before (Levinson's recursion). A gap, a removed row
 and a new session begin a new sequence. What persists over much of the longest sequence is not called
@@ -17,16 +22,24 @@ noise: the poles are drawn in until it does not.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
 from scipy.sparse import csr_array
 from scipy.special import ndtri
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.restricted_likelihood import RestrictedLikelihood, filter_tables, order_samples
+from stickslip_fit.diagnosis.restricted_likelihood import (
+    LARGEST_PARTIALS,
+    RestrictedLikelihood,
+    filter_tables,
+    order_samples,
+)
 
 MAX_ORDER, ROWS_PER_ORDER = 10, 25  # rows with a predecessor for each coefficient
 SWING_ORDER = 2  # of noise that swings, which few rows are to tell from a strict period, too
@@ -34,6 +47,11 @@ MAX_WITHOUT_GAIN = 2  # orders in a row that do not lower the criterion, after w
 MAX_SHARE_OF_SEQUENCE = 0.4  # over which noise persists
 MAX_SHOCKS, MAX_SHOCK_ROWS, MIN_SHOCK_SD = 6, 10, 5.0  # outliers and lasting changes, beside the noise
 LEAST_SWING, SHORTEST_SWING = 0.15, 4.0  # of an oscillation after a period; rows
+# Of noise that wanders: its autoregression's order, and phi and theta from which its search begins.
+LONG_ORDER = 8
+WANDERING = tuple(product((0.9, 0.98, 0.998), (0.4, 0.7, 0.9)))
+MAX_BEHIND = 3.0  # nats by which it may fall behind where that begins
+ACTIVE_TOL = 1e-6  # of an effect's largest value, below which it does not act in a row
 MEDIAN_OF_NORMAL = float(ndtri(0.75))  # of the absolute values of standard normal noise
 SPAN_TOL, MIN_LENGTH = 1e-6, 1e-300  # of the largest singular value; of a column
 SPACING_TOL = 0.25  # of the interval between samples
@@ -51,13 +69,19 @@ class Autocorrelation:
         Number of each sample: neighbours in time differ by 1, all others by more.
     candidate_effects : array, shape (n, m), or None
         Effects, in units of the response, that count as part of the mean; None once the estimate is final.
+    possible_effects : array, shape (n, k), or None
+        More of them, which count where that is likelier.
     coefficients : array, shape (p,)
         Of the values before, the nearest first; empty for independent noise.
+    n_free : int
+        Parameters that were estimated for them.
     """
 
     sample: IntArray
     candidate_effects: Array | None
     coefficients: Array = field(default_factory=lambda: np.zeros(0))
+    n_free: int = 0
+    possible_effects: Array | None = None
 
     @cached_property
     def noise_filter(self) -> csr_array | None:
@@ -101,12 +125,17 @@ class Autocorrelation:
 
     def select(self, kept: IntArray) -> Autocorrelation:
         """That of some rows."""
-        effects = None if self.candidate_effects is None else self.candidate_effects[kept]
-        return Autocorrelation(self.sample[kept], effects, self.coefficients)
+        effects = (
+            None if one is None else one[kept] for one in (self.candidate_effects, self.possible_effects)
+        )
+        candidates, possible = effects
+        return replace(
+            self, sample=self.sample[kept], candidate_effects=candidates, possible_effects=possible
+        )
 
     def settle(self) -> Autocorrelation:
         """The same, not to be estimated again."""
-        return replace(self, candidate_effects=None)
+        return replace(self, candidate_effects=None, possible_effects=None)
 
     def shorten(self) -> Autocorrelation:
         """The same with an autocorrelation time of at most a share of the longest sequence."""
@@ -129,11 +158,10 @@ class Autocorrelation:
         """The autoregression of a fit whose noise counts as independent (`linearized` has no filter)."""
         if self.candidate_effects is None:
             return self
-        effects = linearized.project(linearized.whiten(self.candidate_effects))
-        shocks = 0
+        effects, shocks = self._choose_effects(linearized, self.candidate_effects), 0
         while True:
-            coefficients = estimate_autoregression(linearized, effects, self.sample)
-            found, before = replace(self, coefficients=coefficients).shorten(), shocks
+            noise, before = estimate_noise(linearized, effects, self.sample), shocks
+            found = replace(self, coefficients=noise.coefficients, n_free=noise.n_free).shorten()
             # All shocks that this noise does not explain, before the noise is estimated anew.
             while shocks < MAX_SHOCKS:
                 shock = find_shock(linearized, effects, found)
@@ -144,6 +172,19 @@ class Autocorrelation:
             if shocks == before:
                 break
         return found
+
+    def _choose_effects(self, linearized: LinearizedFit, candidates: Array) -> Array:
+        """Those that count as part of the mean, whitened and projected."""
+        certain = linearized.project(linearized.whiten(candidates))
+        if self.possible_effects is None:
+            return certain
+        possible = spanning(linearized.project(linearized.whiten(self.possible_effects)))
+        every = np.concatenate([certain, possible], axis=1)
+        alone, beside = (
+            criterion(linearized, mean, estimate_noise(linearized, mean, self.sample))
+            for mean in (certain, every)
+        )
+        return every if beside - price(possible) > alone else certain
 
 
 def variance_over_innovations(coefficients: Array) -> float:
@@ -226,8 +267,8 @@ class FilterPattern:
         return -float(log_sd @ np.bincount(self.depth, minlength=self.order + 1))
 
 
-def estimate_autoregression(linearized: LinearizedFit, effects: Array, sample: IntArray) -> Array:
-    """Coefficients of the noise's autoregression, of the order that the data support, shape (p,).
+def estimate_noise(linearized: LinearizedFit, effects: Array, sample: IntArray) -> Autocorrelation:
+    """The noise of a fit, of the order that the data support.
 
     Parameters
     ----------
@@ -240,25 +281,73 @@ def estimate_autoregression(linearized: LinearizedFit, effects: Array, sample: I
     linked = int(np.sum(FilterPattern.of(sample, 1).depth))
     border = np.concatenate([linearized.shared_basis, spanning(effects)], axis=1)
     likelihood = RestrictedLikelihood(linearized, border, sample)
-    best, found = likelihood.criterion(np.zeros(0)), np.zeros(0)
+    best, found, n_free = likelihood.criterion(np.zeros(0), 0), np.zeros(0), 0
     start, without_gain = np.zeros(0), 0
-    for _ in range(min(MAX_ORDER, max(linked // ROWS_PER_ORDER, SWING_ORDER))):
+    for order in range(1, min(MAX_ORDER, max(linked // ROWS_PER_ORDER, SWING_ORDER)) + 1):
         start = likelihood.maximize(np.append(start, 0.0))
-        value = likelihood.criterion(start)
+        value = likelihood.criterion(start, order)
         if value < best:
-            best, found, without_gain = value, start, 0
+            best, found, n_free, without_gain = value, start, order, 0
         else:
             without_gain += 1
         if without_gain == MAX_WITHOUT_GAIN:
             break
-    return predict_from_partials(found)
+    if linked >= 2 * ROWS_PER_ORDER:
+        wandering = _fit_wandering(likelihood, best + MAX_BEHIND)
+        if likelihood.criterion(wandering, 2) < best:
+            found, n_free = wandering, 2
+    return Autocorrelation(sample, None, predict_from_partials(found) if n_free else found, n_free)
+
+
+def _fit_wandering(likelihood: RestrictedLikelihood, most: float) -> Array:
+    """Partial autocorrelations of the likeliest noise that wanders, shape (LONG_ORDER,).
+
+    Where the criterion is above `most` at all of `WANDERING`, one of these.
+    """
+    from scipy.optimize import minimize
+
+    def criterion(z: Array) -> float:
+        with suppress(np.linalg.LinAlgError):
+            return likelihood.criterion(_wandering_partials(*np.tanh(z)), 2)
+        return np.inf
+
+    start = min((np.arctanh(one) for one in WANDERING), key=criterion)
+    if criterion(start) > most:
+        return _wandering_partials(*np.tanh(start))
+    bounds = [(0.0, float(np.arctanh(LARGEST_PARTIALS[0])))] * 2
+    result = minimize(criterion, start, method="Nelder-Mead", bounds=bounds, options={"maxfev": 40})
+    return _wandering_partials(*np.tanh(result.x))
+
+
+def _wandering_partials(phi: float, theta: float) -> Array:
+    """Partial autocorrelations of ARMA(1, 1) noise, shape (LONG_ORDER,)."""
+    first = (phi - theta) * (1.0 - phi * theta) / (1.0 - 2.0 * phi * theta + theta**2)
+    correlation = np.append(1.0, first * phi ** np.arange(LONG_ORDER))
+    return partial_autocorrelations(solve_toeplitz(correlation[:-1], correlation[1:]))
+
+
+def price(effect: Array) -> float:
+    """What the criterion asks for an effect's directions, shape (n, q), each acting in some of the rows."""
+    size = np.abs(effect)
+    return 0.5 * float(np.sum(np.log(np.sum(size > ACTIVE_TOL * size.max(axis=0), axis=0))))
+
+
+def criterion(linearized: LinearizedFit, mean: Array, noise: Autocorrelation) -> float:
+    """Log likelihood with an autoregression, less what the criterion asks for its parameters."""
+    columns = np.concatenate([linearized.basis.toarray(), mean, linearized.residual[:, None]], axis=1)
+    columns, n = noise.whiten(columns), len(columns)
+    size = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=None)[0]
+    innovations = columns[:, -1] - columns[:, :-1] @ size
+    squares = max(float(innovations @ innovations), float(np.finfo(float).tiny))
+    log_determinant = noise.log_determinant if len(noise.coefficients) else 0.0
+    return log_determinant - 0.5 * n * float(np.log(squares)) - 0.5 * noise.n_free * float(np.log(n))
 
 
 def find_shock(linearized: LinearizedFit, effects: Array, noise: Autocorrelation) -> Array | None:
     """An outlier or a lasting change that is far beyond the noise, 1 in its rows, shape (n,), or None.
 
     An outlier hides autocorrelation, a lasting change looks like it. Parameters are as of
-    `estimate_autoregression`; either shows in the largest of the innovations.
+    `estimate_noise`; either shows in the largest of the innovations.
     """
     basis = spanning(effects)
     left = linearized.residual - basis @ (basis.T @ linearized.residual)

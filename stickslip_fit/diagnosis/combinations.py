@@ -340,6 +340,8 @@ def revise_causes(
         extension = extend_problem(problem, others)
         trial, linearized = extension[0], absorb_unknown(extension, others)
         misfit = compute_evidence(linearized, trial, name_explained(others))
+        if not misfit.hypotheses:  # beside a proposal for the same column, of which all forms count
+            continue
         refits = refit_likeliest(trial, others, misfit)
         one = make_selected(refits.misfit, form_cause_set(refits.misfit), refits.starts)
         if one.cause == UNKNOWN:

@@ -6,6 +6,10 @@ candidate cause, and each unstructured alternative, is therefore tried as part o
 estimated beside it, and noise alone is compared with the effect in noise by the Bayesian information
 criterion (G. Schwarz, Ann. Stat. 6:461, 1978), the logarithm of the number of effects being a price. Where
 noise really persists, noise alone has the better of it, since no effect makes its innovations much smaller.
+
+So are polynomials in time, each session's own: a law may lack something else in every session, as of another
+body that falls. Since noise close to a unit root persists less beside them, they need a greater advantage
+(`benchmarks/README.md`).
 """
 
 from __future__ import annotations
@@ -13,19 +17,24 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.autocorrelation import (
     SPAN_TOL,
     Autocorrelation,
-    estimate_autoregression,
+    criterion,
+    estimate_noise,
+    price,
     spanning,
 )
+from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 
 MAX_EFFECTS = 4
-MIN_ADVANTAGE = 3.0  # nats beyond what the criterion asks for
+MIN_ADVANTAGE, MIN_COURSE_ADVANTAGE = 3.0, 15.0  # nats beyond what the criterion asks for; of polynomials
 MAX_SHARE = 0.2  # of the rows, of an effect's directions
+MAX_DEGREE, MAX_COURSE_DIRECTIONS = 6, 200  # of a polynomial; of all sessions' polynomials
 
 
 def find_mean_effects(
@@ -59,7 +68,7 @@ def find_mean_effects(
         for under in (Autocorrelation(sample, None), noise):
             effect = tried[_most_explained(linearized, tried, mean, under)]
             beside, own_value = _judge(linearized, np.concatenate([mean, effect], axis=1), sample)
-            advantage = own_value - value - 0.5 * effect.shape[1] * np.log(n) - np.log(len(tried))
+            advantage = own_value - value - price(effect) - np.log(len(tried))
             if better is None or advantage > better[0]:
                 better = advantage, effect, beside, own_value
         if better is None or better[0] < MIN_ADVANTAGE:
@@ -69,9 +78,40 @@ def find_mean_effects(
     return found
 
 
+def find_session_courses(linearized: LinearizedFit, known: Array, sample: IntArray) -> Array:
+    """Polynomials in time, each session's own, that describe a signal better than noise that persists does.
+
+    Parameters and result are as of `find_mean_effects`; all have the degree that the criterion chooses.
+    """
+    most = min(MAX_SHARE * len(sample), MAX_COURSE_DIRECTIONS)
+    tried = [one for one in _session_polynomials(linearized) if 0 < one.shape[1] <= most]
+    values = [
+        _judge(linearized, np.concatenate([known, one], axis=1), sample)[1] - price(one) for one in tried
+    ]
+    least = max(values, default=-np.inf) - MIN_COURSE_ADVANTAGE
+    if least < _judge(linearized, known, sample)[1]:
+        return known[:, :0]
+    return tried[int(np.argmax(values))]
+
+
+def _session_polynomials(linearized: LinearizedFit) -> Iterator[Array]:
+    """Up to each degree in turn, of every session; whitened and projected."""
+    sessions, seconds = (linearized.rows[name].to_numpy() for name in ("session", "session_seconds"))
+    powers = []
+    for session in dict.fromkeys(sessions):
+        inside = sessions == session
+        half = max(float(seconds[inside].max()) / 2.0, float(np.finfo(float).tiny))
+        powers.append(legvander(seconds / half - 1.0, MAX_DEGREE)[:, 1:] * inside[:, None])
+    columns = np.stack(powers, axis=2)
+    columns = linearized.project(linearized.whiten(columns.reshape(len(sessions), -1))).reshape(columns.shape)
+    for degree in range(1, MAX_DEGREE + 1):
+        own = columns[:, :degree].reshape(len(sessions), -1)
+        yield own[:, np.linalg.norm(own, axis=0) > EFFECT_TOL]
+
+
 def _judge(linearized: LinearizedFit, mean: Array, sample: IntArray) -> tuple[Autocorrelation, float]:
     """The noise beside a mean, and what the criterion says of both."""
-    noise = Autocorrelation(sample, None, estimate_autoregression(linearized, mean, sample))
+    noise = estimate_noise(linearized, mean, sample)
     return noise, criterion(linearized, mean, noise)
 
 
@@ -98,14 +138,3 @@ def _whitened(effects: Sequence[Array], noise: Autocorrelation) -> Iterator[Arra
     """Each effect under some noise; all are filtered at once."""
     ends = np.cumsum([one.shape[1] for one in effects])[:-1]
     yield from np.split(noise.whiten(np.concatenate(effects, axis=1)), ends, axis=1)
-
-
-def criterion(linearized: LinearizedFit, mean: Array, noise: Autocorrelation) -> float:
-    """Log likelihood with an autoregression, less what the criterion asks for its coefficients."""
-    columns = np.concatenate([linearized.basis.toarray(), mean, linearized.residual[:, None]], axis=1)
-    columns, n, order = noise.whiten(columns), len(columns), len(noise.coefficients)
-    size = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=None)[0]
-    innovations = columns[:, -1] - columns[:, :-1] @ size
-    squares = max(float(innovations @ innovations), float(np.finfo(float).tiny))
-    log_determinant = noise.log_determinant if order else 0.0
-    return log_determinant - 0.5 * n * float(np.log(squares)) - 0.5 * order * float(np.log(n))

@@ -59,6 +59,7 @@ MIN_LOG_BAYES_FACTOR = 5.0  # nats for a structure to be subtracted before the b
 # Nats for a version of a cause that adds parameters to another: of its evidence, or of a criterion.
 MIN_ADDED_LOG_EVIDENCE, MIN_CRITERION_GAIN = 2.0, 1.0
 MAX_ROW_SHARE = 0.4  # of an effect's prior variance in one row
+MIN_LEFT_SHARE = 0.5  # of a cause's shapes, that are in more rows
 MAX_ROW_LEVERAGE = 0.15  # of an effect in one row; above, its signs are too few for a bootstrap
 TAIL_DF = (5.0, 8.0, 15.0, 200.0)  # of Student t noise that is simulated
 # Student t noise cannot change the answer where the bootstrap's p-value is above this, or where the statistic
@@ -359,9 +360,10 @@ def _adds_to_simpler(hypothesis: Hypothesis | AR1) -> bool:
 
 
 def drop_single_rows(hypotheses: Sequence[Hypothesis | AR1]) -> list[Hypothesis | AR1]:
-    """The hypotheses whose effect is in several rows, and all those of causes that have no such shape.
+    """The hypotheses whose effect is in several rows, and all those of causes that have few such shapes.
 
-    What is mostly in one row cannot be told from an outlier there.
+    What is mostly in one row cannot be told from an outlier there. But a few shapes that are left would only
+    stand for those that are not.
     """
     shared = [
         one
@@ -371,8 +373,11 @@ def drop_single_rows(hypotheses: Sequence[Hypothesis | AR1]) -> list[Hypothesis 
         or one.prior_share.max(initial=0.0) <= MAX_ROW_SHARE
         or one.largest_row_share <= MAX_ROW_SHARE
     ]
-    known = {classify_cause(one) for one in shared} | {UNKNOWN}
-    return [one for one in hypotheses if classify_cause(one) not in known] + shared
+    number, left = (Counter(map(classify_cause, some)) for some in (hypotheses, shared))
+    known = {cause for cause, count in left.items() if count >= MIN_LEFT_SHARE * number[cause]} | {UNKNOWN}
+    return [one for one in hypotheses if classify_cause(one) not in known] + [
+        one for one in shared if classify_cause(one) in known
+    ]
 
 
 def compute_misfit(

@@ -13,7 +13,7 @@ import numpy as np
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import N_HARMONICS
 from stickslip_fit.causes.smooth import harmonics
-from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, estimate_autoregression
+from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, estimate_noise
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.mean_structure import criterion
 
@@ -91,10 +91,10 @@ def find_period(
     def judge(period: float, number: int) -> tuple[float, Autocorrelation]:
         """What the criterion says of a wave, and the noise beside it."""
         mean = np.concatenate([effects, wave(period, number)], axis=1)
-        noise = Autocorrelation(sample, None, estimate_autoregression(linearized, mean, sample))
+        noise = estimate_noise(linearized, mean, sample)
         return criterion(linearized, mean, noise) - number * float(np.log(len(sample))), noise
 
-    without = Autocorrelation(sample, None, estimate_autoregression(linearized, effects, sample))
+    without = estimate_noise(linearized, effects, sample)
     least = criterion(linearized, effects, without) + np.log(len(allowed)) + MIN_ADVANTAGE
     best, found = float(least), None
     # Slow noise hides a wave among independent values, and noise that swings takes it into itself. Of a wave

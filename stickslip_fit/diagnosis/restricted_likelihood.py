@@ -119,9 +119,9 @@ class RestrictedLikelihood:
         everything = {(0, 0): self._sum_products(np.arange(n), 0, 0)}
         self.sums = [_LagSums((), everything)]
 
-    def criterion(self, partial: Array) -> float:
-        """Bayesian information criterion, over -2."""
-        return self.negative_log(partial) + 0.5 * len(partial) * float(np.log(max(self.df, 2)))
+    def criterion(self, partial: Array, n_free: int) -> float:
+        """Bayesian information criterion, over -2, for noise of so many parameters."""
+        return self.negative_log(partial) + 0.5 * n_free * float(np.log(max(self.df, 2)))
 
     def maximize(self, start: Array) -> Array:
         """Partial autocorrelations of the highest likelihood."""

@@ -39,7 +39,6 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1, AR1_COEFFICIENTS, Sequences
 from stickslip_fit.logs.history import previous_rows
 
-DIRECTION_TOL = 1e-3  # of the largest singular value
 PAIR_LENGTH, MAX_PAIR_COLUMNS = 0.4, 7  # correlation length of a function of two columns; columns
 MIN_SESSIONS = 3  # for what comes back in every session of a sampled signal
 MIN_CYCLES = 2.5  # of a periodic disturbance in a session of a sampled signal
@@ -60,6 +59,8 @@ class TableAlternatives:
         Whether the autocorrelation of the noise is removed.
     response, unit : str
         Name and unit of the response.
+    courses : bool
+        Whether each session's own course in time is told from noise that persists.
     labels : tuple of str
         The two values of a direction that is not of numbers.
     """
@@ -70,6 +71,7 @@ class TableAlternatives:
     response: str
     unit: str
     labels: tuple[str, ...] = ()
+    courses: bool = False
 
     @classmethod
     def of(
@@ -158,15 +160,16 @@ class TableAlternatives:
         if len(sessions) >= MIN_SESSIONS or not self.sampled:
             alike = linearized.project(linearized.whiten(waves))
             hypotheses.append(make_hypothesis("unknown:time, the same in each session", None, None, alike))
-        if not self.sampled:
+        if self.courses or not self.sampled:
             own = linearized.whiten(waves)[:, None]
             slow = build_per_session_hypotheses(["unknown:time"], n, sessions, own)
-            if len(sessions) == 1:
-                orders = tuple((k,) for k in range(1, waves.shape[1] + 1))
-                limits = ((0.0, float(seconds.max())),)
-                term = self._smooth(("session_seconds",), limits, orders, tuple(1.0 / k for (k,) in orders))
-                slow = [replace(one, version=term) for one in slow]
-            hypotheses += slow
+            orders = tuple((k,) for k in range(1, waves.shape[1] + 1))
+            limits = ((0.0, float(seconds.max())),)
+            term = self._smooth(("session_seconds",), limits, orders, tuple(1.0 / k for (k,) in orders))
+            if len(sessions) > 1:
+                term = replace(term, sessions=tuple(map(str, dict.fromkeys(rows["session"].astype(object)))))
+            hypotheses += [replace(one, version=term) for one in slow]
+        if not self.sampled:
             before = previous_rows(session.astype(np.int64)).astype(np.intp)
             sequences = Sequences.of(before, linearized.basis)
             hypotheses += [AR1("unknown:memory", sequences, phi) for phi in AR1_COEFFICIENTS]
@@ -301,11 +304,3 @@ def response_columns(law: Any) -> tuple[str, ...]:
     """Columns of the response of a law."""
     left = getattr(law, "left", None)
     return tuple(left.names) if left is not None else (law.response_name,)
-
-
-def leading_directions(effects: Sequence[Array], most: int) -> Array:
-    """Directions that carry most of some effects of equal weight, each shape (n, m_i); shape (n, m)."""
-    lengths = [float(np.linalg.norm(one)) for one in effects]
-    columns = [one / (length or 1.0) for one, length in zip(effects, lengths, strict=True)]
-    left, singular, _ = np.linalg.svd(np.concatenate(columns, axis=1), full_matrices=False)
-    return np.asarray(left[:, singular > DIRECTION_TOL * max(float(singular[0]), 1e-300)][:, :most])

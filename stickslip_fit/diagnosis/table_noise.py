@@ -6,6 +6,7 @@ strict period.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,15 +14,22 @@ import numpy as np
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import table_library
 from stickslip_fit.causes.periodic import PeriodicTime
-from stickslip_fit.diagnosis.autocorrelation import Autocorrelation
-from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_finite_effects
+from stickslip_fit.diagnosis.autocorrelation import MIN_LENGTH, Autocorrelation
+from stickslip_fit.diagnosis.hypotheses import (
+    FiniteEffects,
+    Hypothesis,
+    compute_finite_effects,
+    split_sessions,
+)
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.mean_structure import find_mean_effects
+from stickslip_fit.diagnosis.mean_structure import find_mean_effects, find_session_courses
 from stickslip_fit.diagnosis.periodicity import find_period
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.table_alternatives import MIN_CYCLES, TableAlternatives, leading_directions
+from stickslip_fit.diagnosis.table_alternatives import MIN_CYCLES, TableAlternatives
 
 MAX_MEAN_DIRECTIONS, ROWS_PER_MEAN_DIRECTION = 30, 12  # of candidates, while the noise is estimated
+DIRECTION_TOL = 1e-3  # of the largest singular value
+MAX_MOMENTS = 100  # of sudden changes, at the same time
 
 
 def with_samples(
@@ -32,45 +40,73 @@ def with_samples(
     With a unit of the time a strict period is one more candidate.
     """
     linearized = problem.linearize()
-    effects: dict[str, list[Array]] = {}
+    finite, n = compute_finite_effects(linearized, problem.causes), len(problem)
+    whole = {one: linearized.project(np.nan_to_num(one.changes)) for one in finite if not one.version.session}
     shapes: list[Array] = []
-    for one in compute_finite_effects(linearized, problem.causes):
-        if not one.version.session:
-            changes = linearized.project(np.nan_to_num(one.changes))
-            effects.setdefault(one.cause, []).append(changes)
-            shapes += [changes] if one.version.combine_trials else np.split(changes, changes.shape[1], axis=1)
-    most = min(MAX_MEAN_DIRECTIONS, max(linearized.df, 0) // ROWS_PER_MEAN_DIRECTION)
-    columns = [np.concatenate(own, axis=1) for own in effects.values()]
-    directions = leading_directions(columns, most) if columns else np.zeros((len(problem), 0))
+    for one, changes in whole.items():
+        shapes += [changes] if one.version.combine_trials else np.split(changes, changes.shape[1], axis=1)
     # Waves are looked for apart, at finer periods, and with harmonics.
     shapes += [one.directions for one in alternatives.shapes(linearized) if isinstance(one, Hypothesis)]
-    wave, mean = None, np.zeros((len(problem), 0))
-    for step in ("wave", "effects", "wave"):
-        if step == "effects":
-            mean = np.concatenate([mean, find_mean_effects(linearized, shapes, mean, sample)], axis=1)
-        elif wave is None and time_unit is not None:
-            wave = _find_wave(problem, linearized, mean, sample, time_unit)
-            if wave is not None:
-                functions = linearized.whiten(wave.functions(problem.rows))
-                mean = np.concatenate([mean, linearized.project(functions)], axis=1)
-    mean = np.concatenate([mean, directions], axis=1)
-    mean /= np.maximum(np.linalg.norm(mean, axis=0), np.finfo(float).tiny)
-    scaled = mean * np.sqrt(len(problem)) * float(problem.repeatability[0])
+    wave, mean = _find_wave(problem, linearized, np.zeros((n, 0)), sample, time_unit)
+    for tried in (shapes, _spread_changes(linearized, finite)):
+        mean = np.concatenate([mean, find_mean_effects(linearized, tried, mean, sample)], axis=1)
+    courses = find_session_courses(linearized, mean, sample)
+    mean = np.concatenate([mean, courses], axis=1)
+    if courses.shape[1]:
+        problem = replace(problem, alternatives=replace(alternatives, courses=True))
+    if wave is None:
+        wave, mean = _find_wave(problem, linearized, mean, sample, time_unit)
+    most = min(MAX_MEAN_DIRECTIONS, linearized.df // ROWS_PER_MEAN_DIRECTION)
+    certain, possible = (
+        columns
+        / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
+        * np.sqrt(n)
+        * float(problem.repeatability[0])
+        for columns in (mean, _leading_directions(whole, n, most))
+    )
+    noise = Autocorrelation(sample, certain, possible_effects=possible)
     causes = problem.causes if wave is None else (*problem.causes, wave)
-    return replace(problem, autocorrelation=Autocorrelation(sample, scaled), causes=causes)
+    return replace(problem, autocorrelation=noise, causes=causes)
+
+
+def _spread_changes(linearized: LinearizedFit, effects: Sequence[FiniteEffects]) -> list[Array]:
+    """Effects of causes of one session, such as sudden changes, at some of their moments; projected."""
+    sessions, columns = split_sessions(linearized), []
+    own = [one for one in effects if one.version.session]
+    every = -(-sum(len(one.trials) for one in own) // MAX_MOMENTS)
+    for one in own:
+        changes = np.zeros((len(linearized), len(one.trials[::every])))
+        changes[sessions[one.version.session].rows] = np.nan_to_num(one.changes[:, ::every])
+        columns += np.split(linearized.project(changes), changes.shape[1], axis=1)
+    return columns
+
+
+def _leading_directions(effects: Mapping[FiniteEffects, Array], n: int, most: int) -> Array:
+    """Directions that carry most of what causes do, each of which counts alike, shape (n, m)."""
+    by_cause: dict[str, list[Array]] = {}
+    for one, changes in effects.items():
+        by_cause.setdefault(one.cause, []).append(changes)
+    columns = [np.zeros((n, 0)), *(np.concatenate(own, axis=1) for own in by_cause.values())]
+    lengths = [float(np.linalg.norm(one)) or 1.0 for one in columns]
+    alike = np.concatenate([one / length for one, length in zip(columns, lengths, strict=True)], axis=1)
+    left, singular, _ = np.linalg.svd(alike, full_matrices=False)
+    known = singular > DIRECTION_TOL * max(float(singular.max(initial=0.0)), MIN_LENGTH)
+    return np.asarray(left[:, known][:, : max(most, 0)])
 
 
 def _find_wave(
-    problem: DiagnosisProblem, linearized: LinearizedFit, effects: Array, sample: IntArray, time_unit: str
-) -> PeriodicTime | None:
-    """The strict period of a signal of one session as a candidate cause; None where it has none."""
-    if problem.rows["session"].nunique() > 1:
-        return None
+    problem: DiagnosisProblem, linearized: LinearizedFit, mean: Array, sample: IntArray, time_unit: str | None
+) -> tuple[PeriodicTime | None, Array]:
+    """The strict period of a signal of one session as a candidate cause, if it has one; the new mean."""
+    if problem.rows["session"].nunique() > 1 or time_unit is None:
+        return None, mean
     seconds = problem.rows["session_seconds"].to_numpy(float)
     longest = float(seconds.max()) / MIN_CYCLES
-    period, harmonics = find_period(linearized, effects, sample, seconds, longest)
+    period, harmonics = find_period(linearized, mean, sample, seconds, longest)
     if not harmonics:
-        return None
+        return None, mean
     size = table_library.TRIAL_SHARE * float(np.std(problem.responses))
     unit = str(problem.parts[0].law.response_unit)
-    return PeriodicTime(period=period, harmonics=harmonics, unit=unit, size=size, time_unit=time_unit)
+    wave = PeriodicTime(period=period, harmonics=harmonics, unit=unit, size=size, time_unit=time_unit)
+    functions = linearized.project(linearized.whiten(wave.functions(problem.rows)))
+    return wave, np.concatenate([mean, functions], axis=1)

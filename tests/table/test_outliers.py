@@ -95,11 +95,15 @@ def test_the_two_outliers_of_newcombs_times_of_light_are_named_and_one_in_few_ro
         assert found.selection.outliers.tolist() == rows
 
 
-def test_in_noise_that_persists_an_outlier_is_no_change_that_lasts():
-    """The rows after it, less what it foretells, are as far off as those after such a change."""
+def test_in_noise_that_persists_an_outlier_is_told_from_a_change_that_lasts():
+    """The rows after an outlier, less what it foretells, are as far off as those after such a change."""
     noise = lfilter([1.0], [1.0, -0.9], 0.1 * np.random.default_rng(11).standard_normal(400))[100:]
     seconds = np.arange(300.0)
     y = 20.0 + noise + (seconds >= 180.0) + 2.0 * (seconds == 60.0)
     found = ssf.diagnose_table(pd.DataFrame({"t": seconds, "y": y}), "y ~ mean", time="t", gain=False)
-    assert found.findings[0].cause == "outliers"
+    (change,) = (one for one in found.findings if one.cause != "outliers")
+    sizes = {one.name: one.size for one in change.parameters}
+    assert change.cause == "sudden-change"
+    assert sizes["A"].low < 1.0 < sizes["A"].high
+    assert sizes["moment"].low <= 179.5 <= sizes["moment"].high
     assert found.selection.outliers.tolist() == [60]

@@ -6,7 +6,7 @@ import pytest
 from scipy.signal import lfilter
 
 import stickslip_fit as ssf
-from stickslip_fit.diagnosis.autocorrelation import estimate_autoregression
+from stickslip_fit.diagnosis.autocorrelation import estimate_noise
 from stickslip_fit.diagnosis.restricted_likelihood import RestrictedLikelihood
 from stickslip_fit.diagnosis.table import problem_from_table
 
@@ -104,7 +104,7 @@ def test_coefficients_of_which_there_is_no_likelihood_are_no_reason_to_fail(monk
 
     monkeypatch.setattr(RestrictedLikelihood, "differentiate", differentiate)
     linearized = problem.linearize()
-    found = estimate_autoregression(linearized, np.zeros((300, 0)), np.arange(300))
+    found = estimate_noise(linearized, np.zeros((300, 0)), np.arange(300)).coefficients
     assert refused
     assert found[0] == pytest.approx(0.8, abs=4 * np.sqrt((1 - 0.8**2) / 300))
 
