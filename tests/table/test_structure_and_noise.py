@@ -3,7 +3,9 @@
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import fftconvolve, lfilter
+from scipy.stats import binom
+from statsmodels.tsa.arima.model import ARIMA
 
 import stickslip_fit as ssf
 from stickslip_fit.diagnosis.autocorrelation import estimate_noise
@@ -87,6 +89,65 @@ def test_noise_that_persists_is_no_structure(carried):
         y = lfilter([1.0], [1.0, -carried], rng.standard_normal(n + 300))[-n:]
         alarms += bool(names(diagnose(y - y.mean(), np.arange(n), seed=seed)))
     assert alarms == 0
+
+
+def flicker(rng, n):
+    """Noise of spectral density 1 / f, the sum of white noise that fades as a power of time."""
+    k = np.arange(1, 4000)
+    return fftconvolve(rng.standard_normal(n + 4000), np.cumprod(np.append(1.0, (k - 0.55) / k)))[
+        4000 : n + 4000
+    ]
+
+
+@pytest.mark.parametrize("tables", [8, pytest.param(100, marks=pytest.mark.nightly)])
+def test_noise_that_flickers_is_no_sudden_change(tables):
+    """Low orders of autoregression leave what wanders; with these alone 40 % of such tables were alarms."""
+    alarms = 0
+    for seed in range(tables):
+        y = flicker(np.random.default_rng(300 + seed), 120)
+        alarms += bool(names(diagnose(y, np.arange(120.0), seed=seed)))
+    assert alarms <= binom.ppf(0.99, tables, 0.08)
+
+
+def test_noise_that_wanders_beneath_white_noise_is_estimated_as_by_arma():
+    """Beside the exact likelihood of statsmodels, whose autoregression goes on for ever."""
+    t = np.arange(1500.0)
+    wander = lfilter([1.0, -0.7], [1.0, -0.97], np.random.default_rng(8).standard_normal(3000))[1500:]
+    problem, _ = problem_from_table(pd.DataFrame({"t": t, "y": wander}), ssf.Law("y ~ a"))
+    found = estimate_noise(problem.linearize(), np.zeros((1500, 0)), np.arange(1500))
+    phi, theta, _ = ARIMA(wander - wander.mean(), order=(1, 0, 1), trend="n").fit().params
+    lags = np.arange(6)
+    assert found.n_free == 2
+    np.testing.assert_allclose(found.coefficients[:6], (phi + theta) * (-theta) ** lags, atol=0.02)
+
+
+def falls(rng, curvatures, noise):
+    """Records of 45 samples, each with a parabola of its own."""
+    t = np.linspace(0.0, 3.0, 45)
+    records = [
+        pd.DataFrame({"run": f"run {number}", "t": t, "y": 5.0 - t + size * (t - 1.5) ** 2 + noise(rng, 45)})
+        for number, size in enumerate(curvatures)
+    ]
+    return pd.concat(records, ignore_index=True)
+
+
+def test_what_a_law_lacks_in_each_session_in_its_own_way_is_no_noise_that_persists():
+    rng = np.random.default_rng(12)
+    frame = falls(rng, (0.3, 0.02, -0.2, 0.15), lambda rng, n: 0.05 * rng.standard_normal(n))
+    found = ssf.diagnose_table(frame, "y ~ a + b*t", session="run", time="t", gain=False)
+    (course,) = found.findings
+    assert (course.cause, course.carrier) == ("unknown", "time")
+    left = found.selection.linearized.unwhiten(found.selection.linearized.residual)
+    assert np.std(left) < 1.2 * 0.05
+
+
+def test_noise_that_persists_is_no_course_of_each_session():
+    def wander(rng, n):
+        return lfilter([1.0], [1.0, -0.97], 0.05 * rng.standard_normal(n + 300))[300:]
+
+    for seed in range(3):
+        frame = falls(np.random.default_rng(seed), (0.0,) * 4, wander)
+        assert not ssf.diagnose_table(frame, "y ~ a + b*t", session="run", time="t", gain=False).findings
 
 
 def test_coefficients_of_which_there_is_no_likelihood_are_no_reason_to_fail(monkeypatch):
