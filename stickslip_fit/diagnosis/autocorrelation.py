@@ -69,12 +69,12 @@ class Autocorrelation:
         Number of each sample: neighbours in time differ by 1, all others by more.
     candidate_effects : array, shape (n, m), or None
         Effects, in units of the response, that count as part of the mean; None once the estimate is final.
-    possible_effects : array, shape (n, k), or None
-        More of them, which count where that is likelier.
     coefficients : array, shape (p,)
         Of the values before, the nearest first; empty for independent noise.
     n_free : int
         Parameters that were estimated for them.
+    possible_effects : array, shape (n, k), or None
+        More effects, which count as part of the mean where that is likelier.
     """
 
     sample: IntArray
@@ -329,7 +329,8 @@ def _wandering_partials(phi: float, theta: float) -> Array:
 def price(effect: Array) -> float:
     """What the criterion asks for an effect's directions, shape (n, q), each acting in some of the rows."""
     size = np.abs(effect)
-    return 0.5 * float(np.sum(np.log(np.sum(size > ACTIVE_TOL * size.max(axis=0), axis=0))))
+    rows = np.sum(size > ACTIVE_TOL * size.max(axis=0), axis=0)
+    return 0.5 * float(np.sum(np.log(np.maximum(rows, 1))))
 
 
 def criterion(linearized: LinearizedFit, mean: Array, noise: Autocorrelation) -> float:

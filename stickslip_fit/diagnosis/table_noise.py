@@ -72,12 +72,11 @@ def with_samples(
 def _spread_changes(linearized: LinearizedFit, effects: Sequence[FiniteEffects]) -> list[Array]:
     """Effects of causes of one session, such as sudden changes, at some of their moments; projected."""
     sessions, columns = split_sessions(linearized), []
-    own = [one for one in effects if one.version.session]
-    every = -(-sum(len(one.trials) for one in own) // MAX_MOMENTS)
-    for one in own:
-        changes = np.zeros((len(linearized), len(one.trials[::every])))
-        changes[sessions[one.version.session].rows] = np.nan_to_num(one.changes[:, ::every])
-        columns += np.split(linearized.project(changes), changes.shape[1], axis=1)
+    trials = [(one, k) for one in effects if one.version.session for k in range(len(one.trials))]
+    for one, k in trials[:: len(trials) // MAX_MOMENTS + 1]:
+        change = np.zeros((len(linearized), 1))
+        change[sessions[one.version.session].rows, 0] = np.nan_to_num(one.changes[:, k])
+        columns.append(linearized.project(change))
     return columns
 
 
