@@ -21,6 +21,7 @@ from numpy.polynomial.legendre import legvander
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.autocorrelation import (
+    MAX_WITHOUT_GAIN,
     SPAN_TOL,
     Autocorrelation,
     criterion,
@@ -34,7 +35,7 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit
 MAX_EFFECTS = 4
 MIN_ADVANTAGE, MIN_COURSE_ADVANTAGE = 3.0, 15.0  # nats beyond what the criterion asks for; of polynomials
 MAX_SHARE = 0.2  # of the rows, of an effect's directions
-MAX_DEGREE, MAX_COURSE_DIRECTIONS = 6, 200  # of a polynomial; of all sessions' polynomials
+MAX_DEGREE, MAX_COURSE_DIRECTIONS = 6, 120  # of a polynomial; of all sessions' polynomials
 
 
 def find_mean_effects(
@@ -84,14 +85,16 @@ def find_session_courses(linearized: LinearizedFit, known: Array, sample: IntArr
     Parameters and result are as of `find_mean_effects`; all have the degree that the criterion chooses.
     """
     most = min(MAX_SHARE * len(sample), MAX_COURSE_DIRECTIONS)
-    tried = [one for one in _session_polynomials(linearized) if 0 < one.shape[1] <= most]
-    values = [
-        _judge(linearized, np.concatenate([known, one], axis=1), sample)[1] - price(one) for one in tried
-    ]
-    least = max(values, default=-np.inf) - MIN_COURSE_ADVANTAGE
-    if least < _judge(linearized, known, sample)[1]:
+    best, found, without_gain = -np.inf, known[:, :0], 0
+    for one in _session_polynomials(linearized):
+        if not 0 < one.shape[1] <= most or without_gain == MAX_WITHOUT_GAIN:
+            continue
+        value = _judge(linearized, np.concatenate([known, one], axis=1), sample)[1] - price(one)
+        better = value > best
+        best, found, without_gain = (value, one, 0) if better else (best, found, without_gain + 1)
+    if best - MIN_COURSE_ADVANTAGE < _judge(linearized, known, sample)[1]:
         return known[:, :0]
-    return tried[int(np.argmax(values))]
+    return found
 
 
 def _session_polynomials(linearized: LinearizedFit) -> Iterator[Array]:

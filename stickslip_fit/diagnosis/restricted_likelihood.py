@@ -8,6 +8,7 @@ neither the likelihood nor its gradient depends on the number of rows.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -116,7 +117,7 @@ class RestrictedLikelihood:
         # The last row, of zeros, is that of blocks that are shorter than others.
         self.columns = np.concatenate([columns, np.zeros((1, width))])
         self.is_last = np.append(self.place[1:] == 0, True)
-        everything = {(0, 0): self._sum_products(np.arange(n), 0, 0)}
+        everything = self._sum_products(np.arange(n), (0,))
         self.sums = [_LagSums((), everything)]
 
     def criterion(self, partial: Array, n_free: int) -> float:
@@ -201,18 +202,15 @@ class RestrictedLikelihood:
             p = before.order
             starting, enough = np.flatnonzero(place == p), np.flatnonzero(place > p)
             ending = np.flatnonzero((place >= p) & self.is_last)
-            pairs = [(i, j) for i in range(p + 1) for j in range(i, p + 1)]
-            starts = {pair: self._sum_products(starting, *pair) for pair in pairs}
-            others = {
-                (i + 1, j + 1): before.others[i, j] - self._sum_products(ending, i, j) for i, j in pairs
-            }
+            starts, ends = (self._sum_products(rows, range(p + 1)) for rows in (starting, ending))
+            others = {(i + 1, j + 1): before.others[i, j] - lost for (i, j), lost in ends.items()}
             others |= {(0, j): before.others[0, j] - starts[0, j] for j in range(p + 1)}
-            others[0, p + 1] = self._sum_products(enough, 0, p + 1)
+            others[0, p + 1] = self._sum_products(enough, (0, p + 1))[0, p + 1]
             self.sums.append(_LagSums((*before.starts, starts), others))
         return self.sums[order]
 
-    def _sum_products(self, rows: IntArray, one: int, other: int) -> Array:
-        """Products of the columns at two lags before some rows, in either order, summed.
+    def _sum_products(self, rows: IntArray, lags: Sequence[int]) -> dict[tuple[int, int], Array]:
+        """Products of the columns at every two lags before some rows, in either order, summed.
 
         First those of the border and the residual, then, block by block, of its own columns with all.
         """
@@ -221,15 +219,20 @@ class RestrictedLikelihood:
         padded = np.full((self.n_blocks, int(count.max(initial=0))), -1)
         first = np.repeat(np.cumsum(count) - count, count)
         padded[self.block[rows][order], np.arange(len(rows)) - first] = rows[order]
-        at = [self.columns[np.where(padded >= 0, padded - lag, -1)] for lag in (one, other)]
-        width, own = self.columns.shape[1], self.own_width
-        whole = [columns[:, :, own:].reshape(-1, width - own) for columns in at]
-        border = whole[0].T @ whole[1]
-        blocks = at[0][:, :, :own].transpose(0, 2, 1) @ at[1]
-        if one != other:
-            border = border + border.T
-            blocks = blocks + at[1][:, :, :own].transpose(0, 2, 1) @ at[0]
-        return np.concatenate([border.ravel(), blocks.ravel()])
+        at = np.stack([self.columns[np.where(padded >= 0, padded - lag, -1)] for lag in lags])
+        number, width, own = len(lags), self.columns.shape[1], self.own_width
+        rest = at[..., own:].reshape(number, -1, width - own)
+        flat = rest.transpose(1, 0, 2).reshape(rest.shape[1], -1)
+        border = (flat.T @ flat).reshape(number, width - own, number, width - own).transpose(0, 2, 1, 3)
+        blocks = at[:, None, :, :, :own].swapaxes(-1, -2) @ at
+        sums = {}
+        for i, one in enumerate(lags):
+            for j, other in enumerate(lags[i:], start=i):
+                both = np.concatenate([border[i, j].ravel(), blocks[i, j].ravel()])
+                if i != j:
+                    both += np.concatenate([border[j, i].ravel(), blocks[j, i].ravel()])
+                sums[one, other] = both
+        return sums
 
 
 def _weights(sums: _LagSums, partial: Array) -> Array:
