@@ -35,7 +35,7 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit
 MAX_EFFECTS = 4
 MIN_ADVANTAGE, MIN_COURSE_ADVANTAGE = 3.0, 15.0  # nats beyond what the criterion asks for; of polynomials
 MAX_SHARE = 0.2  # of the rows, of an effect's directions
-MAX_DEGREE, MAX_COURSE_DIRECTIONS = 6, 120  # of a polynomial; of all sessions' polynomials
+MAX_DEGREE, MAX_COURSE_DIRECTIONS = 6, 20  # of a polynomial; of all sessions' polynomials
 
 
 def find_mean_effects(

@@ -13,6 +13,7 @@ import numpy as np
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import table_library
+from stickslip_fit.causes.generic import GenericCause
 from stickslip_fit.causes.periodic import PeriodicTime
 from stickslip_fit.diagnosis.autocorrelation import MIN_LENGTH, Autocorrelation
 from stickslip_fit.diagnosis.hypotheses import (
@@ -57,12 +58,21 @@ def with_samples(
     if wave is None:
         wave, mean = _find_wave(problem, linearized, mean, sample, time_unit)
     most = min(MAX_MEAN_DIRECTIONS, linearized.df // ROWS_PER_MEAN_DIRECTION)
+    # Who offers causes of his own expects them; generic ones are at work in few tables.
+    generic = {cause.name for cause in problem.causes if isinstance(cause, GenericCause)}
+    offered, others = (
+        _leading_directions(
+            {one: own for one, own in whole.items() if (one.cause in generic) == is_generic}, n, most
+        )
+        for is_generic in (False, True)
+    )
+    mean = np.concatenate([mean, offered], axis=1)
     certain, possible = (
         columns
         / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
         * np.sqrt(n)
         * float(problem.repeatability[0])
-        for columns in (mean, _leading_directions(whole, n, most))
+        for columns in (mean, others)
     )
     noise = Autocorrelation(sample, certain, possible_effects=possible)
     causes = problem.causes if wave is None else (*problem.causes, wave)
