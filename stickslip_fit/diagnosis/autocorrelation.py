@@ -4,7 +4,7 @@ Neighbouring values of a sampled signal share most of their noise. Taken for ind
 would make any slow wave of the noise an effect. Here the noise is an autoregression of order p, estimated by
 restricted maximum likelihood (H. Patterson and R. Thompson, Biometrika 58:545, 1971): plain estimates are
 too small, since the law follows the noise, by about (1 + 3 phi) / n and more with each parameter. Effects
-that the candidate causes may have count as part of the mean, so that a real effect does not pass for noise.
+that the law may lack count as part of the mean, so that none passes for noise (`table_noise` chooses them).
 The order minimizes the Bayesian information criterion (G. Schwarz, Ann. Stat. 6:461, 1978). Coefficients are
 searched as partial autocorrelations, between -1 and 1 for every stationary autoregression (O.
 Barndorff-Nielsen and G. Schou, J. Multivar. Anal. 3:408, 1973).
@@ -125,13 +125,9 @@ class Autocorrelation:
 
     def select(self, kept: IntArray) -> Autocorrelation:
         """That of some rows."""
-        effects = (
-            None if one is None else one[kept] for one in (self.candidate_effects, self.possible_effects)
-        )
-        candidates, possible = effects
-        return replace(
-            self, sample=self.sample[kept], candidate_effects=candidates, possible_effects=possible
-        )
+        own = {name: getattr(self, name) for name in ("candidate_effects", "possible_effects")}
+        kept_effects = {name: one[kept] for name, one in own.items() if one is not None}
+        return replace(self, sample=self.sample[kept], **kept_effects)
 
     def settle(self) -> Autocorrelation:
         """The same, not to be estimated again."""
@@ -158,10 +154,11 @@ class Autocorrelation:
         """The autoregression of a fit whose noise counts as independent (`linearized` has no filter)."""
         if self.candidate_effects is None:
             return self
-        effects, shocks = self._choose_effects(linearized, self.candidate_effects), 0
+        effects, noise = self._choose_effects(linearized, self.candidate_effects)
+        shocks = 0
         while True:
-            noise, before = estimate_noise(linearized, effects, self.sample), shocks
             found = replace(self, coefficients=noise.coefficients, n_free=noise.n_free).shorten()
+            before = shocks
             # All shocks that this noise does not explain, before the noise is estimated anew.
             while shocks < MAX_SHOCKS:
                 shock = find_shock(linearized, effects, found)
@@ -170,21 +167,20 @@ class Autocorrelation:
                 effects = np.concatenate([effects, linearized.project(shock)[:, None]], axis=1)
                 shocks += 1
             if shocks == before:
-                break
-        return found
+                return found
+            noise = estimate_noise(linearized, effects, self.sample)
 
-    def _choose_effects(self, linearized: LinearizedFit, candidates: Array) -> Array:
-        """Those that count as part of the mean, whitened and projected."""
+    def _choose_effects(self, linearized: LinearizedFit, candidates: Array) -> tuple[Array, Autocorrelation]:
+        """Those that count as part of the mean, whitened and projected, and the noise beside them."""
         certain = linearized.project(linearized.whiten(candidates))
+        alone = estimate_noise(linearized, certain, self.sample)
         if self.possible_effects is None:
-            return certain
+            return certain, alone
         possible = spanning(linearized.project(linearized.whiten(self.possible_effects)))
         every = np.concatenate([certain, possible], axis=1)
-        alone, beside = (
-            criterion(linearized, mean, estimate_noise(linearized, mean, self.sample))
-            for mean in (certain, every)
-        )
-        return every if beside - price(possible) > alone else certain
+        beside = estimate_noise(linearized, every, self.sample)
+        advantage = criterion(linearized, every, beside) - criterion(linearized, certain, alone)
+        return (every, beside) if advantage > price(possible) else (certain, alone)
 
 
 def variance_over_innovations(coefficients: Array) -> float:

@@ -13,9 +13,8 @@ import numpy as np
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import N_HARMONICS
 from stickslip_fit.causes.smooth import harmonics
-from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, estimate_noise
+from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, criterion, estimate_noise
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.mean_structure import criterion
 
 OVERSAMPLING, N_FINER = 4, 21  # frequencies for each of the signal's own; about the best of them
 MIN_ADVANTAGE = 6.0  # nats beyond what the criterion asks for

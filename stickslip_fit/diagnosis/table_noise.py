@@ -1,7 +1,7 @@
 """The noise of a table whose rows are samples of a signal: its autocorrelation, and what is not noise.
 
-What the law may lack must not count as noise: the effects that causes and smooth functions may have, and a
-strict period.
+What the law may lack must not count as noise: the effects that causes and smooth functions may have, each
+session's own course in time, and a strict period.
 """
 
 from __future__ import annotations
@@ -57,23 +57,15 @@ def with_samples(
         problem = replace(problem, alternatives=replace(alternatives, courses=True))
     if wave is None:
         wave, mean = _find_wave(problem, linearized, mean, sample, time_unit)
-    most = min(MAX_MEAN_DIRECTIONS, linearized.df // ROWS_PER_MEAN_DIRECTION)
     # Who offers causes of his own expects them; generic ones are at work in few tables.
     generic = {cause.name for cause in problem.causes if isinstance(cause, GenericCause)}
-    offered, others = (
-        _leading_directions(
-            {one: own for one, own in whole.items() if (one.cause in generic) == is_generic}, n, most
-        )
-        for is_generic in (False, True)
-    )
-    mean = np.concatenate([mean, offered], axis=1)
-    certain, possible = (
-        columns
-        / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
-        * np.sqrt(n)
-        * float(problem.repeatability[0])
-        for columns in (mean, others)
-    )
+    offered = {one: changes for one, changes in whole.items() if one.cause not in generic}
+    others = {one: changes for one, changes in whole.items() if one.cause in generic}
+    most = max(min(MAX_MEAN_DIRECTIONS, linearized.df // ROWS_PER_MEAN_DIRECTION), 0)
+    mean = np.concatenate([mean, _leading_directions(offered, n, most)], axis=1)
+    size = np.sqrt(n) * float(problem.repeatability[0])
+    certain = size * mean / np.maximum(np.linalg.norm(mean, axis=0), np.finfo(float).tiny)
+    possible = size * _leading_directions(others, n, most)
     noise = Autocorrelation(sample, certain, possible_effects=possible)
     causes = problem.causes if wave is None else (*problem.causes, wave)
     return replace(problem, autocorrelation=noise, causes=causes)
@@ -100,7 +92,7 @@ def _leading_directions(effects: Mapping[FiniteEffects, Array], n: int, most: in
     alike = np.concatenate([one / length for one, length in zip(columns, lengths, strict=True)], axis=1)
     left, singular, _ = np.linalg.svd(alike, full_matrices=False)
     known = singular > DIRECTION_TOL * max(float(singular.max(initial=0.0)), MIN_LENGTH)
-    return np.asarray(left[:, known][:, : max(most, 0)])
+    return np.asarray(left[:, known][:, :most])
 
 
 def _find_wave(

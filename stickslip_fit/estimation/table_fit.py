@@ -111,13 +111,16 @@ class TableFit(Summarized):
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Every parameter: name, session (None for a shared one), unit, estimate, standard_error, low, high.
+        """Every parameter: name, session (None for one of all), unit, estimate, standard_error, low, high.
 
         Numbers are in the table's own units; low and high bound 95 %. They and the standard error are NaN
         where the parameter is on a bound.
         """
         own, shared = self.law.parameters[: self.n_own], self.law.parameters[self.n_own :]
-        named = [(one, session) for session in self.sessions for one in own] + [(one, None) for one in shared]
+        named = [
+            *((one, session) for session in self.sessions for one in own),
+            *((one, getattr(one, "session", None)) for one in shared),
+        ]
         estimate = np.concatenate([self.values[:, : self.n_own].ravel(), self.values[0, self.n_own :]])
         error = np.sqrt(np.diag(self.covariance))
         reach = t_quantile(self.df) * error

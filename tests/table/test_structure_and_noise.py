@@ -133,14 +133,19 @@ def falls(rng, curvatures, noise):
     return pd.concat(records, ignore_index=True)
 
 
-def test_what_a_law_lacks_in_each_session_in_its_own_way_is_no_noise_that_persists():
+def test_what_a_law_lacks_in_each_session_in_its_own_way_is_no_noise_that_persists(tmp_path):
     rng = np.random.default_rng(12)
     frame = falls(rng, (0.3, 0.02, -0.2, 0.15), lambda rng, n: 0.05 * rng.standard_normal(n))
     found = ssf.diagnose_table(frame, "y ~ a + b*t", session="run", time="t", gain=False)
     (course,) = found.findings
     assert (course.cause, course.carrier) == ("unknown", "time")
-    left = found.selection.linearized.unwhiten(found.selection.linearized.residual)
-    assert np.std(left) < 1.2 * 0.05
+    fit = found.extended_law()
+    assert fit.rms < 1.2 * 0.05
+    assert not fit.parameters.duplicated(["name", "session"]).any()
+    fit.save(tmp_path / "law.json")
+    loaded = ssf.load_table_fit(tmp_path / "law.json")
+    pd.testing.assert_frame_equal(loaded.predict(frame), fit.predict(frame))
+    assert np.std(loaded.predict(frame)["predicted"] - frame["y"]) == pytest.approx(fit.rms, rel=0.01)
 
 
 def test_noise_that_persists_is_no_course_of_each_session():
