@@ -67,6 +67,23 @@ class FormulaTableCause(FormulaTrials, TableCause):  # type: ignore[override]
 
         return apply
 
+    def changes(  # type: ignore[override]
+        self, law: TableLaw | ExtendedTableLaw, rows: Rows, values: Array, trials: Array
+    ) -> Array:
+        """See `Cause.changes`; a row hangs on its own level alone, so that all levels are tried at once."""
+        if len(self.levels) == 1:
+            return super().changes(law, rows, values, trials)
+        by_level = trials.reshape(len(trials), len(self.order), len(self.levels))
+        packed = np.tile(np.array(self.null_values), (len(trials), 1)).reshape(by_level.shape)
+        place_of, number = np.zeros((len(self.levels), len(trials)), dtype=np.intp), 0
+        for level in range(len(self.levels)):
+            own, place_of[level] = np.unique(by_level[:, :, level], axis=0, return_inverse=True)
+            packed[: len(own), :, level] = own
+            number = max(number, len(own))
+        changes = super().changes(law, rows, values, packed[:number].reshape(number, -1))
+        places, _ = self.own_places(rows[self.source.by], len(values))
+        return np.take_along_axis(changes, place_of[places[:, 0]], axis=1)
+
 
 def bind_formula_to_table(
     cause: CauseFormula, law: TableLaw | ExtendedTableLaw, frame: pd.DataFrame

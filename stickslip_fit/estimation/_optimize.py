@@ -51,6 +51,12 @@ class Groups:
         """Rows in each group, shape (g,)."""
         return np.bincount(self.of_row, minlength=len(self))
 
+    @cached_property
+    def rows(self) -> list[IntArray]:
+        """The rows of each group."""
+        order = np.argsort(self.of_row, kind="stable")
+        return np.split(order, np.cumsum(self.sizes)[:-1])
+
     def sums(self, values: Array) -> Array:
         """Sum over each group's rows, shape (n,) -> (g,).
 
@@ -104,7 +110,6 @@ def usable_rows(log: Log) -> pd.DataFrame:
 # Summing J' J squares the condition number; beyond this ratio of eigenvalues too few digits are left, and the
 # group's own Jacobian is decomposed instead.
 CONDITION_TOL = 1e-9
-MANY_COLUMNS = 20  # of one group, whose products are then quicker as those of a matrix
 
 
 @dataclass(frozen=True)
@@ -211,9 +216,12 @@ class SingularFactors:
 def products_by_group(columns: Array, groups: Groups) -> Array:
     """Products of every two of the columns summed over each group, shape (m, n) -> (g, m, m)."""
     m = len(columns)
-    if len(groups) == 1 and m > MANY_COLUMNS:
-        return (columns @ columns.T)[None]
     products = np.empty((len(groups), m, m))
+    if len(groups) < m * (m + 1) // 4:  # fewer products of matrices than sums of products of two columns
+        for k, rows in enumerate(groups.rows):
+            own = columns[:, rows]
+            np.matmul(own, own.T, out=products[k])
+        return products
     for i in range(m):
         for j in range(i + 1):
             products[:, i, j] = products[:, j, i] = groups.sums(columns[i] * columns[j])
