@@ -15,6 +15,7 @@ body that falls. Since noise close to a unit root persists less beside them, the
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -38,10 +39,37 @@ MAX_SHARE = 0.2  # of the rows, of an effect's directions
 MAX_DEGREE, MAX_COURSE_DIRECTIONS = 6, 20  # of a polynomial; of all sessions' polynomials
 
 
-def find_mean_effects(
-    linearized: LinearizedFit, effects: Sequence[Array], known: Array, sample: IntArray
-) -> Array:
-    """Effects that describe a signal better than noise that persists does.
+@dataclass(frozen=True, eq=False)
+class Mean:
+    """What counts as part of the mean of a signal, and the noise beside it.
+
+    Attributes
+    ----------
+    columns : array, shape (n, m)
+        Whitened and projected.
+    noise : Autocorrelation
+    value : float
+        Of both, by the criterion.
+    """
+
+    columns: Array
+    noise: Autocorrelation
+    value: float
+
+    @classmethod
+    def of(cls, linearized: LinearizedFit, columns: Array, sample: IntArray) -> Mean:
+        """Some columns, with the noise that is likeliest beside them; `sample` is as of `Autocorrelation`."""
+        noise = estimate_noise(linearized, columns, sample)
+        return cls(columns, noise, criterion(linearized, columns, noise))
+
+    def extend(self, linearized: LinearizedFit, columns: Array) -> Mean:
+        """The same with more columns, and the noise beside all of them."""
+        together = np.concatenate([self.columns, columns], axis=1)
+        return self.of(linearized, together, self.noise.sample)
+
+
+def find_mean_effects(linearized: LinearizedFit, effects: Sequence[Array], mean: Mean) -> Mean:
+    """The mean with those effects that describe a signal better than noise that persists does.
 
     Parameters
     ----------
@@ -49,52 +77,39 @@ def find_mean_effects(
         Of n rows, whose noise counts as independent.
     effects : sequence of array, shape (n, q)
         Whitened and projected; each is fitted as a whole.
-    known : array, shape (n, m)
-        The same; part of the mean in any case.
-    sample : array of int, shape (n,)
-        See `Autocorrelation`.
-
-    Returns
-    -------
-    found : array, shape (n, k)
-        No columns where there are none.
+    mean : Mean
     """
-    n = len(sample)
+    n = len(linearized)
     tried = [one for one in effects if 0 < one.shape[1] <= MAX_SHARE * n]
-    found = np.zeros((n, 0))
-    noise, value = _judge(linearized, known, sample)
     for _ in range(MAX_EFFECTS if tried else 0):
-        mean = np.concatenate([known, found], axis=1)
         better = None
-        for under in (Autocorrelation(sample, None), noise):
-            effect = tried[_most_explained(linearized, tried, mean, under)]
-            beside, own_value = _judge(linearized, np.concatenate([mean, effect], axis=1), sample)
-            advantage = own_value - value - price(effect) - np.log(len(tried))
+        for under in (Autocorrelation(mean.noise.sample, None), mean.noise):
+            effect = tried[_most_explained(linearized, tried, mean.columns, under)]
+            beside = mean.extend(linearized, effect)
+            advantage = beside.value - mean.value - price(effect) - np.log(len(tried))
             if better is None or advantage > better[0]:
-                better = advantage, effect, beside, own_value
+                better = advantage, beside
         if better is None or better[0] < MIN_ADVANTAGE:
             break
-        found = np.concatenate([found, better[1]], axis=1)
-        noise, value = better[2:]
-    return found
+        mean = better[1]
+    return mean
 
 
-def find_session_courses(linearized: LinearizedFit, known: Array, sample: IntArray) -> Array:
-    """Polynomials in time, each session's own, that describe a signal better than noise that persists does.
+def find_session_courses(linearized: LinearizedFit, mean: Mean) -> Mean:
+    """The mean, with each session's own polynomial in time if these are likelier than noise that persists.
 
-    Parameters and result are as of `find_mean_effects`; all have the degree that the criterion chooses.
+    All have the degree that the criterion chooses.
     """
-    most = min(MAX_SHARE * len(sample), MAX_COURSE_DIRECTIONS)
-    best, found, without_gain = -np.inf, known[:, :0], 0
+    most = min(MAX_SHARE * len(linearized), MAX_COURSE_DIRECTIONS)
+    best, found, without_gain = -np.inf, mean, 0
     for one in _session_polynomials(linearized):
         if not 0 < one.shape[1] <= most or without_gain == MAX_WITHOUT_GAIN:
             continue
-        value = _judge(linearized, np.concatenate([known, one], axis=1), sample)[1] - price(one)
+        beside = mean.extend(linearized, one)
+        value = beside.value - price(one)
         better = value > best
-        best, found, without_gain = (value, one, 0) if better else (best, found, without_gain + 1)
-    if best - MIN_COURSE_ADVANTAGE < _judge(linearized, known, sample)[1]:
-        return known[:, :0]
-    return found
+        best, found, without_gain = (value, beside, 0) if better else (best, found, without_gain + 1)
+    return found if best >= mean.value + MIN_COURSE_ADVANTAGE else mean
 
 
 def _session_polynomials(linearized: LinearizedFit) -> Iterator[Array]:
@@ -110,12 +125,6 @@ def _session_polynomials(linearized: LinearizedFit) -> Iterator[Array]:
     for degree in range(1, MAX_DEGREE + 1):
         own = columns[:, :degree].reshape(len(sessions), -1)
         yield own[:, np.linalg.norm(own, axis=0) > EFFECT_TOL]
-
-
-def _judge(linearized: LinearizedFit, mean: Array, sample: IntArray) -> tuple[Autocorrelation, float]:
-    """The noise beside a mean, and what the criterion says of both."""
-    noise = estimate_noise(linearized, mean, sample)
-    return noise, criterion(linearized, mean, noise)
 
 
 def _most_explained(

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import N_HARMONICS
 from stickslip_fit.causes.smooth import harmonics
-from stickslip_fit.diagnosis.autocorrelation import Autocorrelation, criterion, estimate_noise
+from stickslip_fit.diagnosis.autocorrelation import Autocorrelation
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.mean_structure import Mean
 
 OVERSAMPLING, N_FINER = 4, 21  # frequencies for each of the signal's own; about the best of them
 MIN_ADVANTAGE = 6.0  # nats beyond what the criterion asks for
@@ -33,19 +34,15 @@ def count_harmonics(period: float, interval: float, most: int) -> int:
     return int(np.clip(period / (FASTEST * interval), 1, most))
 
 
-def find_period(
-    linearized: LinearizedFit, effects: Array, sample: IntArray, seconds: Array, longest: float
-) -> tuple[float, int]:
+def find_period(linearized: LinearizedFit, mean: Mean, seconds: Array, longest: float) -> tuple[float, int]:
     """The strict period of a signal, and how many harmonics its wave has, the first being the wave itself.
 
     Parameters
     ----------
     linearized : LinearizedFit
         Of n rows of one session, whose noise counts as independent.
-    effects : array, shape (n, m)
-        Whitened and projected; they count as part of the mean.
-    sample : array of int, shape (n,)
-        See `Autocorrelation`.
+    mean : Mean
+        Beside which the wave stands.
     seconds : array, shape (n,)
     longest : float
         Period, in the unit of `seconds`.
@@ -57,7 +54,7 @@ def find_period(
     harmonics : int
         0 there.
     """
-    interval = float(np.median(np.diff(seconds)))
+    interval, sample = float(np.median(np.diff(seconds))), mean.noise.sample
     length = OVERSAMPLING * (int(np.ptp(sample)) + 1)
     rates = np.fft.rfftfreq(length, interval)
     allowed = np.flatnonzero((rates > 1.0 / longest) & (rates < 1.0 / (FASTEST * interval)))
@@ -89,16 +86,14 @@ def find_period(
 
     def judge(period: float, number: int) -> tuple[float, Autocorrelation]:
         """What the criterion says of a wave, and the noise beside it."""
-        mean = np.concatenate([effects, wave(period, number)], axis=1)
-        noise = estimate_noise(linearized, mean, sample)
-        return criterion(linearized, mean, noise) - number * float(np.log(len(sample))), noise
+        beside = mean.extend(linearized, wave(period, number))
+        return beside.value - number * float(np.log(len(sample))), beside.noise
 
-    without = estimate_noise(linearized, effects, sample)
-    least = criterion(linearized, effects, without) + np.log(len(allowed)) + MIN_ADVANTAGE
+    least = mean.value + np.log(len(allowed)) + MIN_ADVANTAGE
     best, found = float(least), None
     # Slow noise hides a wave among independent values, and noise that swings takes it into itself. Of a wave
     # with harmonics, one of them may be the strongest.
-    for under in (independent, without):
+    for under in (independent, mean.noise):
         strongest = search(finer(1.0 / strongest_rate(under)), under, 1)
         for period in (strongest, 2.0 * strongest):
             highest = count_harmonics(period, interval, N_HARMONICS) if period < longest else 0

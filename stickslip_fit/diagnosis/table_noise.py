@@ -23,7 +23,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     split_sessions,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.mean_structure import find_mean_effects, find_session_courses
+from stickslip_fit.diagnosis.mean_structure import Mean, find_mean_effects, find_session_courses
 from stickslip_fit.diagnosis.periodicity import find_period
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.table_alternatives import MIN_CYCLES, TableAlternatives
@@ -48,23 +48,24 @@ def with_samples(
         shapes += [changes] if one.version.combine_trials else np.split(changes, changes.shape[1], axis=1)
     # Waves are looked for apart, at finer periods, and with harmonics.
     shapes += [one.directions for one in alternatives.shapes(linearized) if isinstance(one, Hypothesis)]
-    wave, mean = _find_wave(problem, linearized, np.zeros((n, 0)), sample, time_unit)
+    plain = Mean.of(linearized, np.zeros((n, 0)), sample)
+    wave, begun = _find_wave(problem, linearized, plain, time_unit)
+    mean = begun
     for tried in (shapes, _spread_changes(linearized, finite)):
-        mean = np.concatenate([mean, find_mean_effects(linearized, tried, mean, sample)], axis=1)
-    courses = find_session_courses(linearized, mean, sample)
-    mean = np.concatenate([mean, courses], axis=1)
-    if courses.shape[1]:
+        mean = find_mean_effects(linearized, tried, mean)
+    beside = find_session_courses(linearized, mean)
+    if beside is not mean:
         problem = replace(problem, alternatives=replace(alternatives, courses=True))
-    if wave is None:
-        wave, mean = _find_wave(problem, linearized, mean, sample, time_unit)
+    if wave is None and beside is not begun:
+        wave, beside = _find_wave(problem, linearized, beside, time_unit)
     # Who offers causes of his own expects them; generic ones are at work in few tables.
     generic = {cause.name for cause in problem.causes if isinstance(cause, GenericCause)}
     offered = {one: changes for one, changes in whole.items() if one.cause not in generic}
     others = {one: changes for one, changes in whole.items() if one.cause in generic}
     most = max(min(MAX_MEAN_DIRECTIONS, linearized.df // ROWS_PER_MEAN_DIRECTION), 0)
-    mean = np.concatenate([mean, _leading_directions(offered, n, most)], axis=1)
+    columns = np.concatenate([beside.columns, _leading_directions(offered, n, most)], axis=1)
     size = np.sqrt(n) * float(problem.repeatability[0])
-    certain = size * mean / np.maximum(np.linalg.norm(mean, axis=0), np.finfo(float).tiny)
+    certain = size * columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
     possible = size * _leading_directions(others, n, most)
     noise = Autocorrelation(sample, certain, possible_effects=possible)
     causes = problem.causes if wave is None else (*problem.causes, wave)
@@ -96,18 +97,17 @@ def _leading_directions(effects: Mapping[FiniteEffects, Array], n: int, most: in
 
 
 def _find_wave(
-    problem: DiagnosisProblem, linearized: LinearizedFit, mean: Array, sample: IntArray, time_unit: str | None
-) -> tuple[PeriodicTime | None, Array]:
+    problem: DiagnosisProblem, linearized: LinearizedFit, mean: Mean, time_unit: str | None
+) -> tuple[PeriodicTime | None, Mean]:
     """The strict period of a signal of one session as a candidate cause, if it has one; the new mean."""
     if problem.rows["session"].nunique() > 1 or time_unit is None:
         return None, mean
     seconds = problem.rows["session_seconds"].to_numpy(float)
-    longest = float(seconds.max()) / MIN_CYCLES
-    period, harmonics = find_period(linearized, mean, sample, seconds, longest)
+    period, harmonics = find_period(linearized, mean, seconds, float(seconds.max()) / MIN_CYCLES)
     if not harmonics:
         return None, mean
     size = table_library.TRIAL_SHARE * float(np.std(problem.responses))
     unit = str(problem.parts[0].law.response_unit)
     wave = PeriodicTime(period=period, harmonics=harmonics, unit=unit, size=size, time_unit=time_unit)
     functions = linearized.project(linearized.whiten(wave.functions(problem.rows)))
-    return wave, np.concatenate([mean, functions], axis=1)
+    return wave, mean.extend(linearized, functions)
