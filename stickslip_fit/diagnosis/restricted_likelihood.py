@@ -150,22 +150,26 @@ class RestrictedLikelihood:
 
     def negative_log(self, partial: Array) -> float:
         """Negative log likelihood, the noise's variance maximized out, but for a constant."""
-        return self._evaluate(self._sums_of(len(partial)), partial)[0]
+        sums = self._sums_of(len(partial))
+        return self._evaluate(sums, partial, _weights(sums, partial[None])[0])[0]
 
     def differentiate(self, partial: Array) -> tuple[float, Array]:
         """`negative_log` and its derivatives, shape (p,)."""
         sums = self._sums_of(len(partial))
-        value, by_cell = self._evaluate(sums, partial)
         steps = WEIGHT_STEP * np.eye(len(partial))
-        ahead, behind = (_weights(sums, partial + sign * steps) for sign in (1.0, -1.0))
+        here, ahead, behind = np.split(
+            _weights(sums, np.concatenate([partial[None], partial + steps, partial - steps])),
+            [1, len(partial) + 1],
+        )
+        value, by_cell = self._evaluate(sums, partial, here[0])
         slopes = (ahead - behind) @ (sums.matrix @ by_cell) / (2.0 * WEIGHT_STEP)
         counts = np.bincount(np.minimum(self.place, sums.order), minlength=sums.order + 1)
         beyond = counts[::-1].cumsum()[::-1][1:]
         return value, slopes - beyond * partial / (1.0 - partial**2)
 
-    def _evaluate(self, sums: _LagSums, partial: Array) -> tuple[float, Array]:
+    def _evaluate(self, sums: _LagSums, partial: Array, weights: Array) -> tuple[float, Array]:
         """The negative log likelihood, and its derivatives by the filtered columns' products."""
-        weights, own = _weights(sums, partial[None])[0], self.own_width
+        own = self.own_width
         cells, width = weights @ sums.matrix, self.columns.shape[1] - own
         left, rest = cells[: width**2].reshape(width, width), cells[width**2 :]
         if left[-1, -1] < MIN_LEFT * float(np.abs(weights) @ np.abs(sums.matrix[:, width**2 - 1])):
