@@ -13,6 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
+from numpy.polynomial.legendre import legvander
 
 from stickslip_fit._format import format_duration
 from stickslip_fit._typing import Array
@@ -187,6 +188,28 @@ class PeriodicTableTerm(SmoothTableTerm):
         """The same with harmonics, each expected to be smaller in proportion to its order."""
         sds = tuple(sd / k for k in range(1, N_HARMONICS + 1) for sd in self.sds[:2])
         return replace(self, orders=tuple((k,) for k in range(1, len(sds) + 1)), sds=sds)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CourseTerm(SmoothTableTerm):
+    """Legendre polynomials in the time since each session began, from degree 1 on.
+
+    What a law lacks of a session of a signal is as steep at its ends as anywhere, where cosines are level.
+    """
+
+    carriers: tuple[str, ...] = ("session_seconds",)
+
+    @classmethod
+    def of_degree(cls, degree: int, **attributes: Any) -> Self:
+        """Up to a degree, each polynomial's coefficient being expected to be smaller than the last."""
+        degrees = range(1, degree + 1)
+        return cls(orders=tuple((k,) for k in degrees), sds=tuple(1.0 / k**2 for k in degrees), **attributes)
+
+    def _waves(self, rows: Rows, prediction: Array | None) -> Array:
+        """Each polynomial in each row."""
+        ((low, high),) = self.limits
+        place = np.clip((np.asarray(rows["session_seconds"], float) - low) / (high - low), 0.0, 1.0)
+        return np.asarray(legvander(2.0 * place - 1.0, len(self.orders))[:, 1:])
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ criterion (G. Schwarz, Ann. Stat. 6:461, 1978), the logarithm of the number of e
 noise really persists, noise alone has the better of it, since no effect makes its innovations much smaller.
 
 So are polynomials in time, each session's own: a law may lack something else in every session, as of another
-body that falls. Since noise close to a unit root persists less beside them, they need a greater advantage
-(`benchmarks/README.md`).
+body that falls. Since noise close to a unit root persists less beside them, they need a greater advantage,
+the greater the more sessions there are (`benchmarks/README.md`).
 """
 
 from __future__ import annotations
@@ -34,9 +34,12 @@ from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 
 MAX_EFFECTS = 4
-MIN_ADVANTAGE, MIN_COURSE_ADVANTAGE = 3.0, 15.0  # nats beyond what the criterion asks for; of polynomials
+MIN_ADVANTAGE = 3.0  # nats beyond what the criterion asks for
+MIN_COURSE_ADVANTAGE, FOR_EACH_SESSION = 13.0, 2.0  # the same of polynomials
 MAX_SHARE = 0.2  # of the rows, of an effect's directions
-MAX_DEGREE, MAX_COURSE_DIRECTIONS = 6, 20  # of a polynomial; of all sessions' polynomials
+MAX_DEGREE = 6  # of a polynomial
+# Of all sessions' polynomials; where they come beside causes of someone's own that explain much.
+MAX_COURSE_DIRECTIONS, MAX_BESIDE_OWN = 150, 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,21 +98,29 @@ def find_mean_effects(linearized: LinearizedFit, effects: Sequence[Array], mean:
     return mean
 
 
-def find_session_courses(linearized: LinearizedFit, mean: Mean) -> Mean:
-    """The mean, with each session's own polynomial in time if these are likelier than noise that persists.
+def find_session_courses(
+    linearized: LinearizedFit, mean: Mean, most: int = MAX_COURSE_DIRECTIONS
+) -> tuple[Mean, int]:
+    """The mean with each session's own polynomial in time, if these are likelier than noise that persists.
 
-    All have the degree that the criterion chooses.
+    Returns
+    -------
+    mean : Mean
+    degree : int
+        Of all polynomials, which together have at most so many directions; 0 where there are none.
     """
-    most = min(MAX_SHARE * len(linearized), MAX_COURSE_DIRECTIONS)
-    best, found, without_gain = -np.inf, mean, 0
-    for one in _session_polynomials(linearized):
+    most = min(int(MAX_SHARE * len(linearized)), most)
+    best, found, without_gain = -np.inf, (mean, 0), 0
+    for degree, one in enumerate(_session_polynomials(linearized), start=1):
         if not 0 < one.shape[1] <= most or without_gain == MAX_WITHOUT_GAIN:
             continue
         beside = mean.extend(linearized, one)
         value = beside.value - price(one)
         better = value > best
-        best, found, without_gain = (value, beside, 0) if better else (best, found, without_gain + 1)
-    return found if best >= mean.value + MIN_COURSE_ADVANTAGE else mean
+        best, without_gain = (value, 0) if better else (best, without_gain + 1)
+        found = (beside, degree) if better else found
+    least = MIN_COURSE_ADVANTAGE + FOR_EACH_SESSION * linearized.rows["session"].nunique()
+    return found if best >= mean.value + least else (mean, 0)
 
 
 def _session_polynomials(linearized: LinearizedFit) -> Iterator[Array]:

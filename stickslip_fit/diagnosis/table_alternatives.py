@@ -23,6 +23,7 @@ from stickslip_fit.causes.smooth import LENGTHS, prior_sds
 from stickslip_fit.causes.table_terms import (
     PREDICTION,
     ColumnFunction,
+    CourseTerm,
     PeriodicTableTerm,
     ProposedTableTerm,
     SmoothTableTerm,
@@ -59,8 +60,8 @@ class TableAlternatives:
         Whether the autocorrelation of the noise is removed.
     response, unit : str
         Name and unit of the response.
-    courses : bool
-        Whether each session's own course in time is told from noise that persists.
+    course_degree : int
+        Of each session's own course in time that is told from noise that persists; 0 without.
     labels : tuple of str
         The two values of a direction that is not of numbers.
     """
@@ -71,7 +72,7 @@ class TableAlternatives:
     response: str
     unit: str
     labels: tuple[str, ...] = ()
-    courses: bool = False
+    course_degree: int = 0
 
     @classmethod
     def of(
@@ -160,12 +161,18 @@ class TableAlternatives:
         if len(sessions) >= MIN_SESSIONS or not self.sampled:
             alike = linearized.project(linearized.whiten(waves))
             hypotheses.append(make_hypothesis("unknown:time, the same in each session", None, None, alike))
-        if self.courses or not self.sampled:
+        if self.course_degree or not self.sampled:
+            limits = ((0.0, float(seconds.max())),)
+            if self.course_degree:
+                term: SmoothTableTerm = CourseTerm.of_degree(
+                    self.course_degree, limits=limits, response=self.response, unit=self.unit
+                )
+                waves = term.functions(linearized.columns) * term.sds
+            else:
+                orders = tuple((k,) for k in range(1, waves.shape[1] + 1))
+                term = self._smooth(("session_seconds",), limits, orders, tuple(1.0 / k for (k,) in orders))
             own = linearized.whiten(waves)[:, None]
             slow = build_per_session_hypotheses(["unknown:time"], n, sessions, own)
-            orders = tuple((k,) for k in range(1, waves.shape[1] + 1))
-            limits = ((0.0, float(seconds.max())),)
-            term = self._smooth(("session_seconds",), limits, orders, tuple(1.0 / k for (k,) in orders))
             if len(sessions) > 1:
                 term = replace(term, sessions=tuple(map(str, dict.fromkeys(rows["session"].astype(object)))))
             hypotheses += [replace(one, version=term) for one in slow]

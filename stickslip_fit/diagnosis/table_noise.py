@@ -15,7 +15,7 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import table_library
 from stickslip_fit.causes.generic import GenericCause
 from stickslip_fit.causes.periodic import PeriodicTime
-from stickslip_fit.diagnosis.autocorrelation import MIN_LENGTH, Autocorrelation
+from stickslip_fit.diagnosis.autocorrelation import MIN_LENGTH, Autocorrelation, price
 from stickslip_fit.diagnosis.hypotheses import (
     FiniteEffects,
     Hypothesis,
@@ -23,7 +23,14 @@ from stickslip_fit.diagnosis.hypotheses import (
     split_sessions,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.mean_structure import Mean, find_mean_effects, find_session_courses
+from stickslip_fit.diagnosis.mean_structure import (
+    MAX_BESIDE_OWN,
+    MAX_COURSE_DIRECTIONS,
+    MIN_ADVANTAGE,
+    Mean,
+    find_mean_effects,
+    find_session_courses,
+)
 from stickslip_fit.diagnosis.periodicity import find_period
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.table_alternatives import MIN_CYCLES, TableAlternatives
@@ -53,21 +60,25 @@ def with_samples(
     mean = begun
     for tried in (shapes, _spread_changes(linearized, finite)):
         mean = find_mean_effects(linearized, tried, mean)
-    beside = find_session_courses(linearized, mean)
-    if beside is not mean:
-        problem = replace(problem, alternatives=replace(alternatives, courses=True))
-    if wave is None and beside is not begun:
-        wave, beside = _find_wave(problem, linearized, beside, time_unit)
     # Who offers causes of his own expects them; generic ones are at work in few tables.
     generic = {cause.name for cause in problem.causes if isinstance(cause, GenericCause)}
     offered = {one: changes for one, changes in whole.items() if one.cause not in generic}
     others = {one: changes for one, changes in whole.items() if one.cause in generic}
     most = max(min(MAX_MEAN_DIRECTIONS, linearized.df // ROWS_PER_MEAN_DIRECTION), 0)
-    columns = np.concatenate([beside.columns, _leading_directions(offered, n, most)], axis=1)
+    own, possible = _leading_directions(offered, n, most), _leading_directions(others, n, most)
+    n_courses = MAX_COURSE_DIRECTIONS
+    if own.shape[1]:
+        mean = mean.extend(linearized, own)
+        # Courses of many sessions would take the place of what causes explain in all of them.
+        if plain.extend(linearized, own).value - price(own) > plain.value + MIN_ADVANTAGE:
+            n_courses = MAX_BESIDE_OWN
+    beside, degree = find_session_courses(linearized, mean, n_courses)
+    problem = replace(problem, alternatives=replace(alternatives, course_degree=degree))
+    if wave is None and beside is not begun:
+        wave, beside = _find_wave(problem, linearized, beside, time_unit)
     size = np.sqrt(n) * float(problem.repeatability[0])
-    certain = size * columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
-    possible = size * _leading_directions(others, n, most)
-    noise = Autocorrelation(sample, certain, possible_effects=possible)
+    certain = size * beside.columns / np.maximum(np.linalg.norm(beside.columns, axis=0), np.finfo(float).tiny)
+    noise = Autocorrelation(sample, certain, possible_effects=size * possible)
     causes = problem.causes if wave is None else (*problem.causes, wave)
     return replace(problem, autocorrelation=noise, causes=causes)
 
