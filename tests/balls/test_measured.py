@@ -33,3 +33,10 @@ def test_drag_of_each_ball_is_found_in_all_drops_together(frames):
     assert min(sizes[f"r[{ball}]"].low for ball in whiffle) > sizes["r[baseball]"].high
     fit = diagnosis.extended_law()
     assert np.sqrt(np.mean(fit.residuals["residual"] ** 2)) < 0.3
+
+
+def test_free_fall_alone_leaves_what_each_drop_has_of_its_own(frames):
+    """Without drag among the candidates, what is left of 22 drops is smooth, and no noise that persists."""
+    diagnosis = ssf.diagnose_table(frames, LAW, session="run", time="seconds", gain=False)
+    assert [one.cause for one in diagnosis.findings] == ["unknown"]
+    assert np.sqrt(np.mean(diagnosis.extended_law().residuals["residual"] ** 2)) < 0.2
