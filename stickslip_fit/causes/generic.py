@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import pandas as pd
@@ -26,6 +26,7 @@ from stickslip_fit.causes.parameters import (
     show_time,
 )
 from stickslip_fit.causes.roles import ONE_SESSION, direction_sign
+from stickslip_fit.causes.smooth import cosines
 from stickslip_fit.causes.table_cause import Effect, TableCause
 from stickslip_fit.laws import Rows
 from stickslip_fit.laws.table import count_rows
@@ -384,11 +385,50 @@ class ColumnDependence(CovariateCause, AddedTerm):
         versions = [self, *([replace(self, order=most)] if most > self.order else [])]
         return [(one, self.size * np.diag(1.0 / np.arange(1, one.order + 1))) for one in versions]
 
+    def as_smooth(self, sds: tuple[float, ...]) -> SmoothColumnDependence:
+        """The same cause as a smooth function, of which `sds` are as of `SmoothColumnDependence`."""
+        own = {one.name: getattr(self, one.name) for one in fields(ColumnDependence)}
+        return SmoothColumnDependence(**own, sds=sds)
+
     def term(self, rows: Rows) -> Term:
         """See `GenericCause`."""
         x = (2.0 * np.asarray(rows[self.column], float) - self.low - self.high) / (self.high - self.low)
         angle = np.arccos(np.clip(x, -1.0, 1.0))
         return linear_term(np.cos(angle[:, None] * np.arange(1, self.order + 1)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmoothColumnDependence(ColumnDependence):
+    """As `ColumnDependence`, of cosines in place of polynomials, as flexible as their Gaussian-process prior.
+
+    Attributes
+    ----------
+    sds : tuple of float
+        Prior standard deviation of each cosine's coefficient.
+    """
+
+    sds: tuple[float, ...] = ()
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        meaning = "of a smooth function of the column"
+        return tuple(
+            CauseParameter(f"c{k}", TableUnit(self.unit), f"coefficient {k} {meaning}", prior_sd=sd)
+            for k, sd in enumerate(self.sds, 1)
+        )
+
+    def with_amplitude(self, amplitude: float) -> Self:
+        """The same with another size: all prior standard deviations times a number."""
+        return replace(self, sds=tuple(amplitude * sd for sd in self.sds))
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+        """See `GenericCause`."""
+        return [(self, np.diag(self.sds))]
+
+    def term(self, rows: Rows) -> Term:
+        """See `GenericCause`."""
+        return linear_term(cosines(np.asarray(rows[self.column], float), self.low, self.high, len(self.sds)))
 
 
 @dataclass(frozen=True, kw_only=True)

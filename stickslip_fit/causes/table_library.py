@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -35,6 +36,7 @@ from stickslip_fit.causes.periodic import PeriodicPosition
 from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, direction_labels
 from stickslip_fit.causes.zeros import zero_causes
 
+NO_NAME = re.compile(r"column \d+|Unnamed: \d+")  # as here and by pandas
 MAX_SESSIONS = 50  # that may each have an offset of their own
 
 
@@ -109,6 +111,8 @@ def explain_unusable(rows: pd.DataFrame, law: Any, name: str) -> str | None:
             return f"{int(np.sum(~np.isfinite(values))):,} of its cells are empty or infinite"
         if np.ptp(values) == 0:
             return "it is the same in every row"
+        if NO_NAME.fullmatch(name) and len(np.unique(values)) == len(values) and np.all(values % 1 == 0):
+            return "it has no name, and numbers the rows; give it a name if it means anything"
     elif reason := explain_unusable_levels(cells):
         return reason
     own = len(law.parameters) > law.n_shared

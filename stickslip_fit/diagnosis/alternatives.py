@@ -12,7 +12,9 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._typing import Array
+from stickslip_fit.causes.generic import ColumnDependence
 from stickslip_fit.causes.proposed import SMOOTH_SCALE, Mode, PeriodicTerm, SmoothTerm
+from stickslip_fit.causes.table_terms import SmoothTableTerm
 from stickslip_fit.diagnosis.hypotheses import (
     Hypothesis,
     SessionFit,
@@ -138,7 +140,9 @@ def attribute_to_causes(
         if cause is None or not isinstance(one, Hypothesis):
             attributed.append(one)
         elif cause.name not in without and cause.owns_functions:
-            attributed.append(replace(one, cause=cause.name, version=cause, values=None))
+            is_smooth = type(cause) is ColumnDependence and isinstance(one.version, SmoothTableTerm)
+            version = cause.as_smooth(one.version.sds) if is_smooth else cause
+            attributed.append(replace(one, cause=cause.name, version=version, values=None))
     return attributed
 
 

@@ -1,6 +1,7 @@
 """The generic causes: each adds what it says, has exact derivatives, and is there where its columns are."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import stickslip_fit as ssf
@@ -123,3 +124,35 @@ def test_a_change_in_a_table_without_sessions_is_told_in_the_unit_of_its_time():
     assert 24 < moment.low < 27 < 28 < moment.high < 32  # the posterior is within 1896 to 1902
     by_order = ssf.diagnose_table(flow, law, time="order", gain=False).summary().headline[0]
     assert "27.5 rows after the first row" in by_order
+
+
+@pytest.mark.parametrize(
+    ("roles", "cause"), [({}, "covariate:place"), ({"position": "place"}, "unknown")], ids=["column", "place"]
+)
+def test_a_narrow_peak_along_a_column_is_in_the_law(roles, cause, tmp_path):
+    """A polynomial that bends as sharply swings between the rows."""
+    rng = np.random.default_rng(3)
+
+    def table():
+        x, place = rng.uniform(-1.0, 1.0, (2, 150))
+        y = 1.0 + 2.0 * x + 0.5 * np.exp(-(((place - 0.2) / 0.15) ** 2))
+        return pd.DataFrame({"x": x, "place": place, "y": y}), 0.05 * rng.standard_normal(150)
+
+    frame, noise = table()
+    found = ssf.diagnose_table(frame.assign(y=frame["y"] + noise), "y ~ a + b*x", gain=False, **roles)
+    assert [one.cause for one in found.findings] == [cause]
+    found.extended_law().save(tmp_path / "law.json")
+    fresh, _ = table()
+    predicted = ssf.load_table_fit(tmp_path / "law.json").predict(fresh)["predicted"]
+    assert np.sqrt(np.mean((predicted - fresh["y"]) ** 2)) < 0.6 * 0.05
+
+
+def test_a_column_without_a_name_that_numbers_the_rows_is_no_candidate(tmp_path):
+    """As R and pandas write it before all others; rows may well stand in the order of their values."""
+    x = np.linspace(0.0, 1.0, 60)
+    frame = pd.DataFrame({"x": x, "y": x + x**2 + 0.02 * np.random.default_rng(4).standard_normal(60)})
+    frame.to_csv(tmp_path / "table.csv")
+    for table in (tmp_path / "table.csv", pd.read_csv(tmp_path / "table.csv")):
+        found = ssf.diagnose_table(table, "y ~ a + b*x", gain=False)
+        assert [(one.cause, one.carrier) for one in found.findings] == [("unknown", "x")]
+        assert any("numbers the rows" in reason for reason in found.untestable.values())
