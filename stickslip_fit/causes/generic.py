@@ -344,11 +344,16 @@ class CovariateCause(GenericCause):
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnDependence(CovariateCause, AddedTerm):
-    """f(column), f a polynomial over the table's range and constant beyond."""
+    """f(column), f a polynomial over the table's range and constant beyond.
+
+    Of one that bends more than the simple one does, `amplitude` is the prior standard deviation of the
+    coefficients, in units of those that are tried; None without a prior.
+    """
 
     low: float = -1.0
     high: float = 1.0
     order: int = COVARIATE_ORDER
+    amplitude: float | None = None
 
     base_phrase = "the response follows a column of the table"
     physics = "Whatever the column stands for; the table alone shows that the response follows it smoothly."
@@ -368,22 +373,31 @@ class ColumnDependence(CovariateCause, AddedTerm):
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`."""
+        unit, meaning = TableUnit(self.unit), "over the column's range"
+        amplitude = np.inf if self.amplitude is None else self.amplitude
         return tuple(
-            CauseParameter(
-                f"f{k}", TableUnit(self.unit), f"Chebyshev coefficient {k} over the column's range"
-            )
-            for k in range(1, self.order + 1)
+            CauseParameter(f"f{k}", unit, f"Chebyshev coefficient {k} {meaning}", prior_sd=float(sd))
+            for k, sd in enumerate(amplitude * self._sizes, 1)
         )
+
+    @property
+    def _sizes(self) -> Array:
+        """Of the coefficients that are tried: the higher the order, the smaller."""
+        return np.asarray(self.size / np.arange(1, self.order + 1))
+
+    def with_amplitude(self, amplitude: float) -> Self:
+        """A curve that bends much, as likely beforehand as the test has it; a simple one as it is."""
+        return replace(self, amplitude=float(amplitude)) if self.order > type(self).order else self
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `GenericCause`: the coefficients of a curve are left out."""
         return {"column": self.column, "opposite": super().quantities({})["opposite"]}
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
-        """See `GenericCause`: the higher the order, the smaller; a simple curve, and one that bends more."""
+        """See `GenericCause`: a simple curve, and one that bends more."""
         most = min(FINE_ORDER, rows[self.column].nunique() - 1)
         versions = [self, *([replace(self, order=most)] if most > self.order else [])]
-        return [(one, self.size * np.diag(1.0 / np.arange(1, one.order + 1))) for one in versions]
+        return [(one, np.diag(one._sizes)) for one in versions]
 
     def as_smooth(self, sds: tuple[float, ...]) -> SmoothColumnDependence:
         """The same cause as a smooth function, of which `sds` are as of `SmoothColumnDependence`."""

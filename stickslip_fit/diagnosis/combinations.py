@@ -434,7 +434,8 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
         shape = misfit.best_hypothesis(cause)
         assert isinstance(shape, Hypothesis)
         has_more_forms = len(shape.prior_share) > len(one.start)
-        if left > 0 and not has_more_forms and not hasattr(one.version, "with_amplitude"):
+        is_penalised = np.isfinite(fit.prior_sd[len(fit.values) - len(one.start) :]).any()
+        if left > 0 and not has_more_forms and not is_penalised:
             # No more than the best fit within the bounds; of a smooth cause this one is penalised.
             evidence[cause] = min(evidence[cause], max(-0.5 * df * float(np.log(left)), 0.0))
         evidence[cause] += gain
