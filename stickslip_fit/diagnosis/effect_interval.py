@@ -119,9 +119,30 @@ def estimate_effect(
     # Where a direction of the parameters is unknown, its covariance has no square root but 0.
     variance, axes = np.linalg.eigh(covariance)
     own = slopes @ (axes * np.sqrt(np.maximum(variance, 0.0)))
-    spread = np.concatenate([own, np.sqrt(kept) * even_forms], axis=1)
+    before = plain.project(_departures_lost(selection, selected, values))
+    spread = np.concatenate([own, np.sqrt(kept) * even_forms, before], axis=1)
     shrunk = bool(np.isfinite(selection.fit.prior_sd[place]).all())
     return LawEffect(rows, total, spread, shrunk)
+
+
+def _departures_lost(selection: Selection, selected: SelectedCause, values: Array) -> Array:
+    """What carries over of the noise that calibration absorbed, shape (n, p): a column for each direction.
+
+    A departure is known but for the error of its prediction.
+    """
+    memory = _memory_of(selected)
+    if memory is None or not isinstance(selected.version, CarryOverTerm):
+        return np.zeros((len(selection.problem), 0))
+    fit = selection.problem.linearize_extended(selection.fit)
+    return replace(memory, coefficient=float(values[0])).shape(fit.unwhiten(fit.basis.toarray()))
+
+
+def _memory_of(selected: SelectedCause) -> AR1 | None:
+    """The autoregression that unknown structure is, if it is one."""
+    if selected.cause != UNKNOWN or selected.misfit is None:
+        return None
+    best = selected.misfit.best_hypothesis(UNKNOWN)
+    return best if isinstance(best, AR1) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,8 +216,8 @@ def _invert(information: Array, rank_tol: float) -> Array:
 def _covariance(selection: Selection, slopes: Array, prior: Array, inverse: Array) -> Array:
     """Of parameters estimated by slopes, (n, q), in units of the noise, which memory may correlate."""
     for one in selection.selected:
-        memory = one.misfit.best_hypothesis(UNKNOWN) if one.cause == UNKNOWN and one.misfit else None
-        if not isinstance(memory, AR1) or memory.sequences.onto is not None:
+        memory = _memory_of(one)
+        if memory is None or memory.sequences.onto is not None:
             continue
         if one.version is None:
             slopes = memory.correlate(slopes)

@@ -62,7 +62,7 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
     best = misfit.best_hypothesis(strongest)
     residual = linearized.residual if selected.version is None else misfit.residual
     shape = _shrink_structure(best, residual)
-    if isinstance(best, AR1):
+    if isinstance(best, AR1) and (selected.version is None or best.sequences.onto is None):
         effect = estimate_ar1_effect(selected.tested or linearized, best, selection.problem.linearize())
     else:
         effect = _size_structure(selection, replace(selected, cause=strongest), shape, alpha)
