@@ -148,7 +148,7 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
         lambda rows: plain.project(linearized.unwhiten(rows)),
         len(shape),
     )
-    if law is not None and (lack := LackOfFit.of(linearized, law.strength)):
+    if law is not None and (lack := LackOfFit.of(linearized, law)):
         squares = lack.draw_squares(len(sizes), np.random.default_rng(1))
         sizes = np.sqrt(sizes**2 + squares / len(shape) * rms(problem.scale) ** 2)
     low, middle, high = (float(limit) for limit in np.quantile(sizes, QUANTILES_95))
