@@ -80,11 +80,11 @@ def propose_term(
         shape = _likeliest(_with_harmonics(shape.version), shape, linearized, misfit.residual)
     elif isinstance(shape.version, SmoothTerm) and len(shape.version.carriers) == 2:
         shape = _likeliest(_as_surfaces(shape.version), shape, linearized, misfit.residual)
-    version = shape.version.with_amplitude(estimate_strength(shape, misfit.residual) / shape.length)
-    is_smooth = isinstance(version, SmoothTerm) and not isinstance(version, PeriodicTerm)
-    if is_smooth and version.sessions and not version.common:
+    elif isinstance(shape.version, SmoothTerm) and shape.version.sessions and not shape.version.common:
         # Where a session has no traverse of its own nearby, the others say more than nothing.
-        version = replace(version, common=COMMON_IN_LAW)
+        nested = replace(shape.version, common=COMMON_IN_LAW)
+        shape = _likeliest([nested], shape, linearized, misfit.residual)
+    version = shape.version.with_amplitude(estimate_strength(shape, misfit.residual) / shape.length)
     start = np.array(version.null_values)
     return [*others, replace(unknown, version=version, start=start, tested=linearized)]
 
