@@ -3,8 +3,9 @@
 A smooth function or a short expression only comes near an effect that nobody has described. So the
 posterior distribution of the rms has three parts: the fit of what stands in the law; what the unstructured
 alternatives find in the residuals of that, a mixture over all of them, their strengths, and nothing at all,
-by their evidence; and what has none of their forms, of which replicates tell (`lack_of_fit`). Memory is
-measured by simulation, since projecting out the calibration parameters reduces the correlation of residuals.
+by their evidence; and what has none of their forms, of which replicates tell (`lack_of_fit`). Memory in both
+directions is measured by simulation, since projecting out the calibration parameters reduces the correlation
+of residuals.
 """
 
 from __future__ import annotations
