@@ -25,7 +25,10 @@ UNKNOWN = "unknown"
 
 @dataclass(frozen=True)
 class Answer:
-    """What the diagnosis made of a case; errors on the fresh replicate, rms, %."""
+    """What the diagnosis made of a case; errors on the fresh replicate, rms, %.
+
+    `inside`: whether the interval of recognised structure holds its size; None where it is not recognised.
+    """
 
     case: OutsideCase
     found: tuple[str, ...]
@@ -64,7 +67,9 @@ def diagnose_case(case: OutsideCase) -> Answer:
         first.carrier if first else "",
         first.closest if first else "",
         first.share if first else 0.0,
-        bool(first.effect.low <= size / 100 <= first.effect.high) if first else None,
+        bool(first.effect.low <= size / 100 <= first.effect.high)
+        if first and first.cause == UNKNOWN
+        else None,
         published,
         error(diagnosis.extended_law()) if has_law else published,
         100 * rms(fresh, true_form(hidden, fresh)),

@@ -245,9 +245,9 @@ class PeriodicTerm(SmoothTerm):
         (clock,) = values
         return [harmonics(clock, self.period, len(self.orders) // 2)]
 
-    def with_harmonics(self) -> Self:
+    def with_harmonics(self, number: int = N_HARMONICS) -> Self:
         """The same with harmonics, each expected to be smaller in proportion to its order."""
-        sds = tuple(sd / k for k in range(1, N_HARMONICS + 1) for sd in self.sds[:2])
+        sds = tuple(sd / k for k in range(1, number + 1) for sd in self.sds[:2])
         return replace(self, orders=tuple((k,) for k in range(1, len(sds) + 1)), sds=sds)
 
 

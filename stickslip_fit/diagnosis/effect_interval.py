@@ -36,6 +36,7 @@ FORM_RANK_TOL, RANK_TOL, SINGULAR_TOL = 0.05, 1e-10, 1e-14
 EFFECT_RANK_TOL = 1e-4  # of directions of the parameters along which an effect hardly changes
 MIN_LENGTH = 1e-12
 UNIFORM_PRECISION = 12.0  # inverse variance of a uniform distribution of width 1
+RELIABILITY_PASSES, MIN_RELIABILITY = 20, 0.1  # of departures: share of the variance that is a row's own
 N_MIXTURE_TERMS = 100  # of a noncentral chi-square, beyond twice the largest one
 
 
@@ -119,9 +120,40 @@ def estimate_effect(
     # Where a direction of the parameters is unknown, its covariance has no square root but 0.
     variance, axes = np.linalg.eigh(covariance)
     own = slopes @ (axes * np.sqrt(np.maximum(variance, 0.0)))
-    spread = np.concatenate([own, np.sqrt(kept) * even_forms], axis=1)
+    before = plain.project(_departures_lost(selection, selected, values))
+    spread = np.concatenate([own, np.sqrt(kept) * even_forms, before], axis=1)
     shrunk = bool(np.isfinite(selection.fit.prior_sd[place]).all())
     return LawEffect(rows, total, spread, shrunk)
+
+
+def _departures_lost(selection: Selection, selected: SelectedCause, values: Array) -> Array:
+    """What carries over of noise that departures do not show, shape (n, m): independent parts.
+
+    Calibration absorbs some of the noise. Of a traverse onto which some carries over, what was absorbed of
+    the noise before adds to its departure, too; by that noisy regressor the share that carries over is too
+    small (W. A. Fuller, Measurement Error Models, 1987, section 1.1).
+    """
+    memory = _memory_of(selected)
+    if memory is None or not isinstance(selected.version, CarryOverTerm):
+        return np.zeros((len(selection.problem), 0))
+    fit = selection.problem.linearize_extended(selection.fit)
+    all_of_it = replace(memory, coefficient=1.0)
+    absorbed = all_of_it.shape(fit.unwhiten(fit.basis.toarray()))
+    added, squares = np.sum(absorbed**2, axis=1), all_of_it.shape(fit.unwhiten(fit.residual)) ** 2
+    share, own = float(values[0]), np.ones(len(fit))
+    for _ in range(RELIABILITY_PASSES):
+        own = np.maximum(1.0 - share**2 * added / fit.scale**2, MIN_RELIABILITY)
+        share = float(values[0] * squares.sum() / (squares @ own[memory.before]))
+    hidden = np.diag(fit.scale * np.sqrt(own * (1.0 - own)))[:, own < 1.0]
+    return share * np.concatenate([absorbed, all_of_it.shape(hidden)], axis=1)
+
+
+def _memory_of(selected: SelectedCause) -> AR1 | None:
+    """The autoregression that unknown structure is, if it is one."""
+    if selected.cause != UNKNOWN or selected.misfit is None:
+        return None
+    best = selected.misfit.best_hypothesis(UNKNOWN)
+    return best if isinstance(best, AR1) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,8 +227,8 @@ def _invert(information: Array, rank_tol: float) -> Array:
 def _covariance(selection: Selection, slopes: Array, prior: Array, inverse: Array) -> Array:
     """Of parameters estimated by slopes, (n, q), in units of the noise, which memory may correlate."""
     for one in selection.selected:
-        memory = one.misfit.best_hypothesis(UNKNOWN) if one.cause == UNKNOWN and one.misfit else None
-        if not isinstance(memory, AR1) or memory.sequences.onto is not None:
+        memory = _memory_of(one)
+        if memory is None or memory.sequences.onto is not None:
             continue
         if one.version is None:
             slopes = memory.correlate(slopes)

@@ -1,11 +1,11 @@
 """How much a law may still lack, in no form that the alternatives have: what replicates tell from noise.
 
 A term or smooth function for unknown structure only comes near it. What is left varies between
-configurations, sessions and directions; noise varies within them, too. So the residuals have two sums of
-squares, as in the analysis of variance of a regression with replicates (G. E. P. Box and N. R. Draper,
-Empirical Model-Building and Response Surfaces, 1987, section 3.12). Half of the prior is on a law that lacks
-nothing, half on one that lacks a share of the effect: where a form is wrong, what it misses grows with the
-effect.
+configurations, sessions, directions and values of the effect; noise varies within them, too. So the residuals
+have two sums of squares, as in the analysis of variance of a regression with replicates (G. E. P. Box and
+N. R. Draper, Empirical Model-Building and Response Surfaces, 1987, section 3.12). Half of the prior is on a
+law that lacks nothing, half on one that lacks a share of the effect: where a form is wrong, what it misses
+grows with the effect. Where nothing was repeated, as of an effect in time, that is all that is known.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ import pandas as pd
 from scipy.special import softmax
 
 from stickslip_fit._typing import Array
+from stickslip_fit.diagnosis.effect_interval import MIN_LENGTH, LawEffect
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.logs.log import number_configurations
 
 SHARES = np.array([0.125, 0.25, 0.5])  # of the norm of an effect, that a law which comes near it lacks
-MIN_REPLICATES = 8  # degrees of freedom within cells; with fewer, noise and lack of fit cannot be told apart
+SAME_EFFECT = 0.1  # of its rms, by which an effect may differ between replicates
 GAUSSIAN_KURTOSIS = 3.0
 
 
@@ -58,24 +59,26 @@ class LackOfFit:
     strength: float
 
     @classmethod
-    def of(cls, linearized: LinearizedFit, strength: float) -> LackOfFit | None:
-        """Of a log's law, with what extends it; None without enough replicates, and of other tables."""
+    def of(cls, linearized: LinearizedFit, law: LawEffect) -> LackOfFit | None:
+        """Of a log's law with what extends it; None of other tables."""
         rows, residual = linearized.rows, linearized.residual
         if linearized.noise_filter is not None or not all(
             hasattr(one.law, "joint") for one in linearized.parts
         ):
             return None
         session, _ = pd.factorize(rows["session"].astype(object))
-        keys = np.column_stack([session, number_configurations(rows), linearized.direction_sign])
+        value = np.round(law.changes / (SAME_EFFECT * max(law.rms, MIN_LENGTH)))
+        keys = np.column_stack([session, number_configurations(rows), linearized.direction_sign, value])
         _, cell = np.unique(keys, axis=0, return_inverse=True)
         size, cell = np.bincount(cell.ravel()), cell.ravel()
         df_within, df_between = len(rows) - len(size), linearized.df - len(rows) + len(size)
-        if df_within < MIN_REPLICATES or df_between < 1:
+        if df_between < 1:
             return None
         within = float(np.sum((residual - (np.bincount(cell, residual) / size)[cell]) ** 2))
         kurtosis = float(np.mean(residual**4) / np.mean(residual**2) ** 2)
         total = float(residual @ residual)
-        return cls(total - within, within, df_between, df_within, max(kurtosis, GAUSSIAN_KURTOSIS), strength)
+        kurtosis = max(kurtosis, GAUSSIAN_KURTOSIS)
+        return cls(total - within, within, df_between, df_within, kurtosis, law.strength)
 
     @property
     def signal(self) -> Array:

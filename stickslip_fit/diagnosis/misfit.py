@@ -344,9 +344,13 @@ class Misfit:
             places.setdefault(classify_cause(one), []).append(place)
         return places
 
-    def n_shapes(self, cause: str) -> int:
-        """Number of shapes over which the evidence of a cause is averaged, at least 1."""
-        return max(sum(one.cause == cause for one in self.hypotheses), 1)
+    def n_shapes(self, cause: str) -> float:
+        """Number of shapes over which the evidence of a cause is averaged, at least 1.
+
+        Those that are as likely as the best one, since they resemble it, count as one with it.
+        """
+        best = max((self.log_evidence[k] for k in self._places.get(cause, ())), default=-np.inf)
+        return float(np.exp(max(best - self.log_evidence_by_cause.get(cause, best), 0.0)))
 
 
 def classify_cause(hypothesis: Hypothesis | AR1) -> str:
@@ -539,7 +543,7 @@ def log_likelihood_ratio(explained: npt.ArrayLike, df: int) -> Array:
     return -0.5 * df * np.log1p(-np.minimum(explained, MAX_EXPLAINED))
 
 
-def detection_length(critical: float, n_shapes: int, df: int) -> float:
+def detection_length(critical: float, n_shapes: float, df: int) -> float:
     """Norm of an effect in one direction at which its cause alone reaches a critical value of the statistic.
 
     `n_shapes` is the number of shapes over which the evidence of the cause is averaged.

@@ -38,6 +38,7 @@ COMMON_IN_LAW = 0.5  # share of a function of sessions that is the same in all, 
 MEMORY_MARGIN = 3.0  # nats by which an autoregression is likelier, whose noise looks like many a function
 FACTOR_COST = 2.0  # of the squared residuals that a second factor has to explain
 SURFACE_LENGTHS = (1.0, 0.6, 0.4)  # of functions of two carriers, of their ranges
+MANY_HARMONICS = 8  # of a wave with a jump, if likelier
 N_PERIODS = 21  # between the two neighbours of a period that was tried
 MIN_GAIN_SHARE = 0.95  # of the smooth function's gain, with which a short expression is preferred
 N_NULL_LOGS, NULL_LEVEL = 200, 0.01
@@ -78,13 +79,16 @@ def propose_term(
         return [*others, replace(unknown, version=term.version, start=term.start, tested=linearized)]
     if isinstance(shape.version, PeriodicTerm | PeriodicTableTerm):
         shape = _likeliest(_with_harmonics(shape.version), shape, linearized, misfit.residual)
+        if isinstance(shape.version, PeriodicTerm):
+            versions = [shape.version, shape.version.with_harmonics(MANY_HARMONICS)]
+            shape = _likeliest(versions, shape, linearized, misfit.residual)
     elif isinstance(shape.version, SmoothTerm) and len(shape.version.carriers) == 2:
         shape = _likeliest(_as_surfaces(shape.version), shape, linearized, misfit.residual)
-    version = shape.version.with_amplitude(estimate_strength(shape, misfit.residual) / shape.length)
-    is_smooth = isinstance(version, SmoothTerm) and not isinstance(version, PeriodicTerm)
-    if is_smooth and version.sessions and not version.common:
+    elif isinstance(shape.version, SmoothTerm) and shape.version.sessions and not shape.version.common:
         # Where a session has no traverse of its own nearby, the others say more than nothing.
-        version = replace(version, common=COMMON_IN_LAW)
+        nested = replace(shape.version, common=COMMON_IN_LAW)
+        shape = _likeliest([nested], shape, linearized, misfit.residual)
+    version = shape.version.with_amplitude(estimate_strength(shape, misfit.residual) / shape.length)
     start = np.array(version.null_values)
     return [*others, replace(unknown, version=version, start=start, tested=linearized)]
 

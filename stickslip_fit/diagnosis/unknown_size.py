@@ -3,8 +3,9 @@
 A smooth function or a short expression only comes near an effect that nobody has described. So the
 posterior distribution of the rms has three parts: the fit of what stands in the law; what the unstructured
 alternatives find in the residuals of that, a mixture over all of them, their strengths, and nothing at all,
-by their evidence; and what has none of their forms, of which replicates tell (`lack_of_fit`). Memory is
-measured by simulation, since projecting out the calibration parameters reduces the correlation of residuals.
+by their evidence; and what has none of their forms, of which replicates tell (`lack_of_fit`). Memory in both
+directions is measured by simulation, since projecting out the calibration parameters reduces the correlation
+of residuals.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
     best = misfit.best_hypothesis(strongest)
     residual = linearized.residual if selected.version is None else misfit.residual
     shape = _shrink_structure(best, residual)
-    if isinstance(best, AR1):
+    if isinstance(best, AR1) and (selected.version is None or best.sequences.onto is None):
         effect = estimate_ar1_effect(selected.tested or linearized, best, selection.problem.linearize())
     else:
         effect = _size_structure(selection, replace(selected, cause=strongest), shape, alpha)
@@ -148,7 +149,7 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
         lambda rows: plain.project(linearized.unwhiten(rows)),
         len(shape),
     )
-    if law is not None and (lack := LackOfFit.of(linearized, law.strength)):
+    if law is not None and (lack := LackOfFit.of(linearized, law)):
         squares = lack.draw_squares(len(sizes), np.random.default_rng(1))
         sizes = np.sqrt(sizes**2 + squares / len(shape) * rms(problem.scale) ** 2)
     low, middle, high = (float(limit) for limit in np.quantile(sizes, QUANTILES_95))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,6 +13,7 @@ from stickslip_fit.estimation import load_result
 from stickslip_fit.logs import read_log
 from stickslip_fit.logs.history import add_departures
 from tests.hidden.outside import OutsideCase, baseline, rms, true_form
+from tests.hidden.reading import read_hidden
 
 CASE = OutsideCase("unknown:history", "residual before, one way", "session", "gaussian", 12.0, 100)
 
@@ -50,6 +53,13 @@ def test_it_is_unknown_with_the_carry_over_as_its_term_and_nothing_besides(found
     assert size.size.low < truth["value"] < size.size.high
     assert finding.effect.low < hidden[0].truth["effects"][0]["effect_rms_pct"] / 100 < finding.effect.high
     assert found.gain.extended < 0.85 * found.gain.baseline
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_its_size_has_in_it_what_calibration_absorbed_of_the_departures_before(seed):
+    hidden = replace(CASE, seed=seed).make()
+    (finding,) = diagnose(read_hidden(hidden), gain=False).findings
+    assert finding.effect.low < hidden.truth["effects"][0]["effect_rms_pct"] / 100 < finding.effect.high
 
 
 def test_the_law_predicts_a_replicate_from_the_counts_before(law, logs, hidden):

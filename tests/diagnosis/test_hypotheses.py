@@ -1,9 +1,18 @@
 """Hypotheses as subspaces, beside a cause in the laws."""
 
 import numpy as np
+import pytest
 
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.extension import compute_evidence, extend_problem, make_selected
+from stickslip_fit.diagnosis.hypotheses import Hypothesis
+from stickslip_fit.diagnosis.misfit import (
+    UNKNOWN,
+    Misfit,
+    average_by_cause,
+    classify_cause,
+    weigh_hypotheses,
+)
 from stickslip_fit.diagnosis.problem import problem_from_log
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
@@ -31,3 +40,14 @@ def test_functions_of_each_session_explain_no_more_than_there_is():
 def test_a_jump_in_one_session_is_no_uneven_noise():
     extended, _ = extend(hide("many", ("psi-offset", "session-jump"), 14.0, "t5", seed=15), "psi-offset")
     assert extended.uneven == ()
+
+
+@pytest.mark.parametrize(("alike", "number"), [(1, 50.0), (25, 2.0), (50, 1.0)])
+@pytest.mark.parametrize("name", ["unknown:theta", "drift"])
+def test_the_alarm_is_averaged_over_shapes_but_not_over_those_as_likely_as_the_best(name, alike, number):
+    shapes = [Hypothesis(name, None, None, 2, (), np.ones(1), 1.0)] * 50
+    evidence, causes = np.r_[np.full(alike, 30.0), np.zeros(50 - alike)], [*map(classify_cause, shapes)]
+    by_cause = average_by_cause(causes, weigh_hypotheses(shapes, causes), evidence)
+    misfit = Misfit(np.zeros(2), tuple(shapes), evidence, by_cause, 0.001, np.zeros(0))
+    cause = UNKNOWN if name.startswith(UNKNOWN) else name
+    assert misfit.n_shapes(cause) == pytest.approx(number)

@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 from scipy.sparse import csr_array
 
-from stickslip_fit.diagnosis.lack_of_fit import LackOfFit
+from stickslip_fit.diagnosis.effect_interval import LawEffect
+from stickslip_fit.diagnosis.lack_of_fit import SHARES, LackOfFit
 from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit
 
 CELLS, REPLICATES, STRENGTH = 120, 4, 25.0
@@ -47,6 +48,14 @@ def linearized():
     return make
 
 
+def effect(changes):
+    """Of a law, as long as `STRENGTH` says."""
+    return LawEffect(STRENGTH * changes / np.linalg.norm(changes), changes, np.zeros((N, 0)), shrunk=False)
+
+
+OF_CONFIGURATIONS = effect(np.repeat(np.cos(np.arange(CELLS)), REPLICATES))
+
+
 def residuals(share, rng, tails=None):
     """Noise of variance 1, and differences between cells whose norm is a share of the effect's."""
     noise = (
@@ -62,19 +71,29 @@ def test_the_norm_of_what_a_law_lacks_is_found(linearized, share, least, most, t
     """On average over logs, root mean square; true: 0, 6.2 and 12.5 standard deviations of the noise."""
     squares = []
     for seed in range(20):
-        lack = LackOfFit.of(linearized(residuals(share, np.random.default_rng(seed), tails)), STRENGTH)
+        residual = residuals(share, np.random.default_rng(seed), tails)
+        lack = LackOfFit.of(linearized(residual), OF_CONFIGURATIONS)
         squares.append(np.mean(lack.draw_squares(500, np.random.default_rng(0))))
     assert least < np.sqrt(np.mean(squares)) < most
 
 
 def test_sums_of_squares_are_those_of_an_analysis_of_variance(linearized):
     residual = residuals(0.25, np.random.default_rng(1))
-    lack, cells = LackOfFit.of(linearized(residual), STRENGTH), residual.reshape(CELLS, REPLICATES)
+    lack, cells = LackOfFit.of(linearized(residual), OF_CONFIGURATIONS), residual.reshape(CELLS, REPLICATES)
     assert lack.within == pytest.approx(np.sum((cells - cells.mean(axis=1, keepdims=True)) ** 2))
     assert lack.between == pytest.approx(REPLICATES * np.sum(cells.mean(axis=1) ** 2))
     assert (lack.df_between, lack.df_within) == (CELLS, N - CELLS)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_what_an_effect_of_the_order_of_replicates_lacks_stays_open(linearized, share):
+    of_order = effect(np.tile(np.linspace(-1.0, 1.0, REPLICATES), CELLS))
+    lack = LackOfFit.of(linearized(residuals(share, np.random.default_rng(2))), of_order)
+    squares = lack.draw_squares(4000, np.random.default_rng(0))
+    assert np.mean(squares == 0) == pytest.approx(0.5, abs=0.03)
+    assert np.mean(squares) == pytest.approx(STRENGTH**2 * np.mean(SHARES**2) / 2, rel=0.1)
+
+
 def test_a_table_without_configurations_is_not_asked(linearized):
     part = LawBlock(object(), np.arange(N), np.zeros(N, np.intp), np.zeros((N, 0)))
-    assert LackOfFit.of(linearized(np.ones(N), part), STRENGTH) is None
+    assert LackOfFit.of(linearized(np.ones(N), part), OF_CONFIGURATIONS) is None
