@@ -286,7 +286,7 @@ RowSubsetModel = Callable[[IntArray], Model]
 # ordinary effect does is not known from the data, whatever the arithmetic says.
 RANK_TOL = 1e-5
 REL_OFFSET_TOL = 1e-6
-DAMPING_UP, DAMPING_DOWN, FIRST_DAMPING, MAX_DAMPING = 4.0, 10.0, 1e-2, 1e20
+DAMPING_UP, DAMPING_DOWN, FIRST_DAMPING, MAX_DAMPING = 2.0, 3.0, 1e-2, 1e20
 # In large logs the search leaves converged groups out once these have most of the rows.
 MIN_ROWS_FRACTION, MIN_ROWS = 0.5, 300
 PATIENCE = 15  # iterations

@@ -200,8 +200,6 @@ def find_linear(model: Model, values: Array, among: Sequence[int]) -> list[int]:
     Of two sets as large that which has the first parameters of `among`.
     """
     among = list(among)[:MAX_LINEAR]
-    if is_linear(model, values, among):  # all steps differ, so that no two products cancel
-        return sorted(among)
     singles = [k for k in among if is_linear(model, values, [k])]
     pairs = {pair for pair in combinations(singles, 2) if is_linear(model, values, pair)}
     for size in range(len(singles), 0, -1):

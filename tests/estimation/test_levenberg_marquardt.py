@@ -83,7 +83,7 @@ def test_a_slow_group_does_not_make_the_others_work_on(problem):
     found = minimize(
         counted(everything), y, np.ones(len(y)), groups, ones, ones, subset=counted, tolerance=0.0, most=400
     )
-    assert found.iterations == whole.iterations > 10
-    assert evaluated < 0.9 * without
+    assert found.iterations == whole.iterations > 20
+    assert evaluated < 0.8 * without
     for name in ("values", "curvature", "residual", "converged", "rank", "at_bound"):
         assert np.array_equal(getattr(found, name), getattr(whole, name))
