@@ -7,7 +7,7 @@ a short expression, such as k log(speed).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -192,7 +192,7 @@ class PeriodicTableTerm(SmoothTableTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class CourseTerm(SmoothTableTerm):
-    """Legendre polynomials in the time since each session began, from degree 1 on.
+    """Legendre polynomials in the time since each session began, `orders` being their degrees.
 
     What a law lacks of a session of a signal is as steep at its ends as anywhere, where cosines are level.
     """
@@ -200,16 +200,15 @@ class CourseTerm(SmoothTableTerm):
     carriers: tuple[str, ...] = ("session_seconds",)
 
     @classmethod
-    def of_degree(cls, degree: int, **attributes: Any) -> Self:
-        """Up to a degree, each polynomial's coefficient being expected to be smaller than the last."""
-        degrees = range(1, degree + 1)
+    def of_degrees(cls, degrees: Sequence[int], **attributes: Any) -> Self:
+        """Of some degrees; the higher one is, the smaller its coefficient is expected to be."""
         return cls(orders=tuple((k,) for k in degrees), sds=tuple(1.0 / k**2 for k in degrees), **attributes)
 
     def _waves(self, rows: Rows, prediction: Array | None) -> Array:
         """Each polynomial in each row."""
-        ((low, high),) = self.limits
+        ((low, high),), degrees = self.limits, [k for (k,) in self.orders]
         place = np.clip((np.asarray(rows["session_seconds"], float) - low) / (high - low), 0.0, 1.0)
-        return np.asarray(legvander(2.0 * place - 1.0, len(self.orders))[:, 1:])
+        return np.asarray(legvander(2.0 * place - 1.0, max(degrees))[:, degrees])
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from stickslip_fit.causes.table_terms import (
 from stickslip_fit.diagnosis.alternatives import MAX_ELEMENTS, choose_periods, smooth_in_time
 from stickslip_fit.diagnosis.expressions import Dictionary
 from stickslip_fit.diagnosis.hypotheses import (
+    EFFECT_TOL,
     Hypothesis,
     build_per_session_hypotheses,
     make_hypothesis,
@@ -161,26 +162,41 @@ class TableAlternatives:
         if len(sessions) >= MIN_SESSIONS or not self.sampled:
             alike = linearized.project(linearized.whiten(waves))
             hypotheses.append(make_hypothesis("unknown:time, the same in each session", None, None, alike))
-        if self.course_degree or not self.sampled:
-            limits = ((0.0, float(seconds.max())),)
+        if term := self._course(linearized, waves.shape[1]):
             if self.course_degree:
-                term: SmoothTableTerm = CourseTerm.of_degree(
-                    self.course_degree, limits=limits, response=self.response, unit=self.unit
-                )
-                waves = term.functions(linearized.columns) * term.sds
-            else:
-                orders = tuple((k,) for k in range(1, waves.shape[1] + 1))
-                term = self._smooth(("session_seconds",), limits, orders, tuple(1.0 / k for (k,) in orders))
+                waves = replace(term, sessions=()).functions(linearized.columns) * term.sds
             own = linearized.whiten(waves)[:, None]
             slow = build_per_session_hypotheses(["unknown:time"], n, sessions, own)
-            if len(sessions) > 1:
-                term = replace(term, sessions=tuple(map(str, dict.fromkeys(rows["session"].astype(object)))))
             hypotheses += [replace(one, version=term) for one in slow]
         if not self.sampled:
             before = previous_rows(session.astype(np.int64)).astype(np.intp)
             sequences = Sequences.of(before, linearized.basis)
             hypotheses += [AR1("unknown:memory", sequences, phi) for phi in AR1_COEFFICIENTS]
         return hypotheses
+
+    def _course(self, linearized: LinearizedFit, n_waves: int) -> SmoothTableTerm | None:
+        """A function of time for each session; of a signal, a polynomial of what the law does not absorb."""
+        labels = tuple(map(str, dict.fromkeys(linearized.rows["session"].astype(object))))
+        sessions = labels if len(labels) > 1 else ()
+        limits = ((0.0, float(linearized.rows["session_seconds"].max())),)
+        if not self.sampled:
+            orders = tuple((k,) for k in range(1, n_waves + 1))
+            sds = tuple(1.0 / k for (k,) in orders)
+            return replace(self._smooth(("session_seconds",), limits, orders, sds), sessions=sessions)
+        if not self.course_degree:
+            return None
+        degrees = np.arange(1, self.course_degree + 1)
+        attributes: Any = {
+            "limits": limits,
+            "response": self.response,
+            "unit": self.unit,
+            "sessions": sessions,
+        }
+        term = CourseTerm.of_degrees(degrees.tolist(), **attributes)
+        columns = linearized.whiten(term.functions(linearized.columns))
+        left = np.linalg.norm(linearized.project(columns), axis=0) / np.linalg.norm(columns, axis=0)
+        kept = degrees[left.reshape(-1, len(degrees)).max(axis=0) > EFFECT_TOL]
+        return CourseTerm.of_degrees(kept.tolist(), **attributes) if len(kept) else None
 
     def _beside_white_noise(self, linearized: LinearizedFit) -> list[Hypothesis]:
         """Smooth functions of the time of a sampled signal: noise that persists may be as slow."""

@@ -144,6 +144,7 @@ def test_what_a_law_lacks_in_each_session_in_its_own_way_is_no_noise_that_persis
     fit = found.extended_law()
     assert fit.rms < 1.2 * 0.05
     assert not fit.parameters.duplicated(["name", "session"]).any()
+    assert fit.parameters["standard_error"].max() < 0.05  # no polynomial is what the law has already
     fit.save(tmp_path / "law.json")
     loaded = ssf.load_table_fit(tmp_path / "law.json")
     pd.testing.assert_frame_equal(loaded.predict(frame), fit.predict(frame))
