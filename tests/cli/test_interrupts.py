@@ -81,10 +81,17 @@ program.main()
 """
 
 
+def heed_interrupts():
+    """As in a terminal: a shell in the background makes its programs ignore interrupts."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def run_code(code: str) -> tuple[int, str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     program = [sys.executable, "-c", code]
-    ended = subprocess.run(program, capture_output=True, text=True, env=environment, check=False)
+    ended = subprocess.run(
+        program, capture_output=True, text=True, env=environment, check=False, preexec_fn=heed_interrupts
+    )
     return ended.returncode, ended.stderr
 
 
@@ -126,7 +133,8 @@ def test_an_interrupt_at_any_moment(words, campaign, tmp_path, monkeypatch):
     subprocess.run(program, capture_output=True, check=True)
     longest = time.monotonic() - begun
     for _ in range(100):
-        with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        with subprocess.Popen(program, text=True, preexec_fn=heed_interrupts, **pipes) as running:
             time.sleep(rng.uniform(0.0, longest))
             running.send_signal(signal.SIGINT)
             _, errors = running.communicate(timeout=20)
