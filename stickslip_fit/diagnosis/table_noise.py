@@ -68,9 +68,10 @@ def with_samples(
     own, possible = _leading_directions(offered, n, most), _leading_directions(others, n, most)
     n_courses = MAX_COURSE_DIRECTIONS
     if own.shape[1]:
-        mean = mean.extend(linearized, own)
+        alone = plain.extend(linearized, own)
+        mean = alone if mean is plain else mean.extend(linearized, own)
         # Courses of many sessions would take the place of what causes explain in all of them.
-        if plain.extend(linearized, own).value - price(own) > plain.value + MIN_ADVANTAGE:
+        if alone.value - price(own) > plain.value + MIN_ADVANTAGE:
             n_courses = MAX_BESIDE_OWN
     beside, degree = find_session_courses(linearized, mean, n_courses)
     problem = replace(problem, alternatives=replace(alternatives, course_degree=degree))

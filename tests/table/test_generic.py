@@ -156,3 +156,24 @@ def test_a_column_without_a_name_that_numbers_the_rows_is_no_candidate(tmp_path)
         found = ssf.diagnose_table(table, "y ~ a + b*x", gain=False)
         assert [(one.cause, one.carrier) for one in found.findings] == [("unknown", "x")]
         assert any("numbers the rows" in reason for reason in found.untestable.values())
+
+
+def test_levels_that_are_tried_at_once_change_what_each_trial_alone_does():
+    """Also in a row whose label has no parameters, and of trials that differ in some levels alone."""
+    rng = np.random.default_rng(5)
+    frame = pd.DataFrame({"x": rng.uniform(1.0, 2.0, 30), "ball": np.tile(["a", "b", "c"], 10)})
+    frame["y"] = 1.0 + frame["x"]
+    law = ssf.Law("y ~ u + v*x").bind_table(frame, session=None)
+    decay = ssf.Cause("decay", "+ p*exp(-x/tau)", "p, tau", by="ball", bounds={"tau": (0.1, 3.0)})
+    cause = decay.bind_table(law, frame)
+    rows = frame.assign(ball=frame["ball"].where(frame.index != 4, "d"))
+    values, null = np.tile([1.0, 1.0], (30, 1)), np.array(cause.null_values)
+    trials = np.stack([null, null, *(null + rng.uniform(0.1, 1.0, (4, len(null))))])
+    trials[1, 0], trials[3, 1], trials[4, [0, 3]] = 0.5, null[1], trials[5, [0, 3]]
+    changes = cause.changes(law, rows, values, trials)
+    extended, before = cause.extend(law), law.predict(rows, values)
+    for trial, change in zip(trials, changes.T, strict=True):
+        alone = extended.predict(rows, np.hstack([values, np.tile(trial, (30, 1))])) - before
+        np.testing.assert_allclose(change, alone, atol=1e-12)
+    assert np.ptp(changes[0]) > 0
+    assert not changes[4].any()
