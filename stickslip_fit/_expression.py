@@ -14,11 +14,12 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
+from itertools import product
 from typing import Any, NoReturn
 
 import numpy as np
 
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.errors import InputError, shorten
 
 MAX_LENGTH = 2_000  # characters
@@ -65,6 +66,7 @@ FUNCTIONS: dict[str, tuple[Numpy, Derivatives]] = {
     "min": (np.minimum, lambda f, x, y: (f["step"](y - x), f["step"](x - y))),
     "max": (np.maximum, lambda f, x, y: (f["step"](x - y), f["step"](y - x))),
 }
+JUMPS = ("sign", "step", "heaviside")  # whose derivative does not tell that they change
 _POWERS: dict[str, tuple[Numpy, Derivatives]] = {
     "**": (np.power, lambda f, x, a: (a * f["**"](x, a - 1), f["** by exponent"](x, a))),
     "** by exponent": (_power_by_exponent, lambda f, x, a: (0, 0)),  # of which none is ever taken
@@ -144,6 +146,18 @@ class Expression:
     def derivative(self, name: str) -> Any:
         """The derivative by a name, as a node of sympy."""
         return self.node.diff(_algebra().symbol(name))
+
+    def slopes_that_move(self, by: Sequence[str]) -> BoolArray:
+        """Whether the derivative by one name changes with another, (p, p), as their symbols tell.
+
+        True, too, where a name decides on which side of a jump it is.
+
+        Examples
+        --------
+        >>> parse_expression("a + b * exp(-k * x)").slopes_that_move(("a", "b", "k")).tolist()
+        [[False, False, False], [False, False, True], [False, True, True]]
+        """
+        return _slopes_that_move(self, tuple(by))
 
     @cached_property
     def _parsed(self) -> tuple[tuple[str, ...], Any]:
@@ -439,6 +453,18 @@ def _fold(function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
 @lru_cache(maxsize=512)
 def _compile(expression: Expression, by: tuple[str, ...]) -> _Tape:
     return _Tape([expression.node, *(expression.derivative(name) for name in by)])
+
+
+@lru_cache(maxsize=512)
+def _slopes_that_move(expression: Expression, by: tuple[str, ...]) -> BoolArray:
+    kinds = [_algebra().functions[name] for name in JUMPS]
+    together = [{symbol.name for symbol in node.free_symbols} for node in expression.node.atoms(*kinds)]
+    slopes = [{symbol.name for symbol in expression.derivative(name).free_symbols} for name in by]
+    moves = np.zeros((len(by), len(by)), dtype=bool)
+    for (i, one), (j, other) in product(enumerate(by), repeat=2):
+        at_jump = any({one, other} <= names for names in together)
+        moves[i, j] = other in slopes[i] or one in slopes[j] or at_jump
+    return moves
 
 
 class _Tape:

@@ -62,6 +62,25 @@ def test_derivatives_agree_with_the_complex_step(name):
     np.testing.assert_allclose(slopes[:, 0], (getattr(np, name)(k * x) * k).imag / 1e-100, rtol=1e-13)
 
 
+@pytest.mark.parametrize("text", [*BY_HAND, "a*b*x", "(a + b)*x", "abs(a)*x", "x*sign(a)", "step(a*x - b)"])
+def test_slopes_move_where_second_differences_are_not_zero(text):
+    names, rng = ("a", "b"), np.random.default_rng(0)
+    evaluate = parse_expression(text).function()
+    places = {name: rng.uniform(-2.0, 2.0, (400, 1)) for name in names}
+    moved = np.zeros((2, 2), dtype=bool)
+    for i, j in np.ndindex(2, 2):
+        steps = [np.eye(2)[i] * 0.3, np.eye(2)[j] * 0.4]
+
+        def at(*some, steps=steps):
+            by = sum((steps[one] for one in some), np.zeros(2))
+            return evaluate(X | {name: places[name] + by[k] for k, name in enumerate(names)})[0]
+
+        parts = at(0, 1), at(0), at(1), at()
+        second = np.abs(parts[0] - parts[1] - parts[2] + parts[3]) / (1e-9 + sum(map(np.abs, parts)))
+        moved[i, j] = np.nanmax(second) > 1e-9
+    np.testing.assert_array_equal(parse_expression(text).slopes_that_move(names), moved)
+
+
 def test_a_power_of_zero_has_a_derivative_by_its_exponent():
     value, slopes = parse_expression("abs(v)**d").function(("d",))({"v": np.array([0.0, 2.0]), "d": 1.5})
     np.testing.assert_allclose(value, [0.0, 2.0**1.5])

@@ -10,13 +10,14 @@ tells them apart. The best places are refined by nonlinear least squares.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations, product
 from math import isfinite
 from typing import Any
 
 import numpy as np
 
+from stickslip_fit._expression import Expression
 from stickslip_fit._typing import Array
 from stickslip_fit.laws.base import Model, Parameter, Rows
 
@@ -51,7 +52,11 @@ def choose_start(law: Any, rows: Rows, y: Array, near: Sequence[Array] | None = 
     free = [k for k, one in enumerate(parameters) if one.name not in given]
     free.sort(key=lambda k: _is_bounded(parameters[k]))
     columns = {name: values for name, values in law.quantities(rows).items() if np.ptp(values) > 0}
-    linear = _find_linear_everywhere(model, first, free, columns, y, parameters)
+    if isinstance(law.right, Expression):
+        moves = law.right.slopes_that_move(law.parameter_names)
+        linear = _find_largest(lambda some: not moves[np.ix_(some, some)].any(), free)
+    else:
+        linear = _find_linear_everywhere(model, first, free, columns, y, parameters)
     others = [k for k in free if k not in linear]
     bounded = [k for k in others if _is_bounded(parameters[k])]
     starts = []
@@ -195,16 +200,20 @@ def _solve_places(
 
 
 def find_linear(model: Model, values: Array, among: Sequence[int]) -> list[int]:
-    """The largest set of some parameters in which, all together, the prediction is linear.
+    """The largest set of some parameters in which, all together, the prediction is linear at some values.
 
     Of two sets as large that which has the first parameters of `among`.
     """
-    among = list(among)[:MAX_LINEAR]
-    singles = [k for k in among if is_linear(model, values, [k])]
-    pairs = {pair for pair in combinations(singles, 2) if is_linear(model, values, pair)}
+    return _find_largest(lambda some: is_linear(model, values, some), among)
+
+
+def _find_largest(is_linear: Callable[[Sequence[int]], bool], among: Sequence[int]) -> list[int]:
+    """See `find_linear`."""
+    singles = [k for k in list(among)[:MAX_LINEAR] if is_linear([k])]
+    pairs = {pair for pair in combinations(singles, 2) if is_linear(pair)}
     for size in range(len(singles), 0, -1):
         for some in combinations(singles, size):
-            if all(pair in pairs for pair in combinations(some, 2)) and is_linear(model, values, some):
+            if all(pair in pairs for pair in combinations(some, 2)) and is_linear(some):
                 return sorted(some)
     return []
 
