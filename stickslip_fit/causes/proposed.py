@@ -26,7 +26,6 @@ ANGLES = ("q1", "q2", "q3", "theta", "psi")  # the joint's own excepted, which i
 POSITION, LOAD, BEFORE_DIRECTION = "position", "load", "before_direction"
 PAUSES = ("pause", "joint_pause")  # s, of which a function follows the logarithm
 SMOOTH_SCALE = 0.01  # of a smooth function's coefficients
-N_HARMONICS = 4  # of a periodic term: in them a square wave has 0.90 of its variance, a saw-tooth 0.87
 Mode = Literal["same", "opposite"]
 
 
@@ -244,11 +243,6 @@ class PeriodicTerm(SmoothTerm):
         """See `SmoothTerm.waves`: cosine and sine of each harmonic."""
         (clock,) = values
         return [harmonics(clock, self.period, len(self.orders) // 2)]
-
-    def with_harmonics(self, number: int = N_HARMONICS) -> Self:
-        """The same with harmonics, each expected to be smaller in proportion to its order."""
-        sds = tuple(sd / k for k in range(1, number + 1) for sd in self.sds[:2])
-        return replace(self, orders=tuple((k,) for k in range(1, len(sds) + 1)), sds=sds)
 
 
 def _only(group: Sequence[tuple[int, str]]) -> tuple[int | None, str | None]:

@@ -20,7 +20,6 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes import proposed
 from stickslip_fit.causes.generic import AddedTerm, GenericCause, Term, linear_term
 from stickslip_fit.causes.parameters import CauseParameter
-from stickslip_fit.causes.proposed import N_HARMONICS
 from stickslip_fit.causes.smooth import cosines, harmonics, wave_products
 from stickslip_fit.causes.table_cause import Effect, Stage
 from stickslip_fit.laws import Rows
@@ -183,11 +182,6 @@ class PeriodicTableTerm(SmoothTableTerm):
     def _waves(self, rows: Rows, prediction: Array | None) -> Array:
         """Cosine and sine of each harmonic."""
         return harmonics(np.asarray(rows["session_seconds"], float), self.period, len(self.orders) // 2)
-
-    def with_harmonics(self) -> Self:
-        """The same with harmonics, each expected to be smaller in proportion to its order."""
-        sds = tuple(sd / k for k in range(1, N_HARMONICS + 1) for sd in self.sds[:2])
-        return replace(self, orders=tuple((k,) for k in range(1, len(sds) + 1)), sds=sds)
 
 
 @dataclass(frozen=True, kw_only=True)

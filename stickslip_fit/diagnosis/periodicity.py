@@ -11,8 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.proposed import N_HARMONICS
-from stickslip_fit.causes.smooth import harmonics
+from stickslip_fit.causes.smooth import N_HARMONICS, harmonics
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.mean_structure import Mean

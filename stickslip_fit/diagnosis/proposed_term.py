@@ -18,7 +18,7 @@ import numpy as np
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import SMOOTH_SCALE, PeriodicTerm, SmoothTerm
-from stickslip_fit.causes.smooth import prior_sds
+from stickslip_fit.causes.smooth import N_HARMONICS, prior_sds
 from stickslip_fit.causes.table_terms import PeriodicTableTerm
 from stickslip_fit.diagnosis.expressions import Dictionary
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
@@ -78,10 +78,9 @@ def propose_term(
     if term is not None and term.expected_gain >= MIN_GAIN_SHARE * _expected_gain(shape, misfit.residual):
         return [*others, replace(unknown, version=term.version, start=term.start, tested=linearized)]
     if isinstance(shape.version, PeriodicTerm | PeriodicTableTerm):
-        shape = _likeliest(_with_harmonics(shape.version), shape, linearized, misfit.residual)
-        if isinstance(shape.version, PeriodicTerm):
-            versions = [shape.version, shape.version.with_harmonics(MANY_HARMONICS)]
-            shape = _likeliest(versions, shape, linearized, misfit.residual)
+        shape = _likeliest(_periods_about(shape.version), shape, linearized, misfit.residual)
+        versions = [shape.version, _with_harmonics(shape.version, MANY_HARMONICS)]
+        shape = _likeliest(versions, shape, linearized, misfit.residual)
     elif isinstance(shape.version, SmoothTerm) and len(shape.version.carriers) == 2:
         shape = _likeliest(_as_surfaces(shape.version), shape, linearized, misfit.residual)
     elif isinstance(shape.version, SmoothTerm) and shape.version.sessions and not shape.version.common:
@@ -93,10 +92,16 @@ def propose_term(
     return [*others, replace(unknown, version=version, start=start, tested=linearized)]
 
 
-def _with_harmonics(wave: Any) -> Iterable[Any]:
+def _periods_about(wave: Any) -> Iterable[Any]:
     """A wave with its harmonics, at periods about its own."""
     rates = 1.0 / wave.period + np.linspace(-0.5, 0.5, N_PERIODS) / wave.limits[0][1]
-    return (replace(wave, period=float(1.0 / rate)).with_harmonics() for rate in rates)
+    return (_with_harmonics(replace(wave, period=float(1.0 / rate)), N_HARMONICS) for rate in rates)
+
+
+def _with_harmonics(wave: Any, number: int) -> Any:
+    """A wave with so many harmonics, each expected to be smaller in proportion to its order."""
+    sds = tuple(sd / k for k in range(1, number + 1) for sd in wave.sds[:2])
+    return replace(wave, orders=tuple((k,) for k in range(1, len(sds) + 1)), sds=sds)
 
 
 def _as_surfaces(term: SmoothTerm) -> Iterable[SmoothTerm]:
