@@ -108,7 +108,13 @@ TERMS = [
     SmoothTableTerm(
         carriers=(PREDICTION,), limits=((0.0, 9.0),), orders=((1,), (2,)), sds=(1.0, 0.5), response="y"
     ),
-    PeriodicTableTerm(limits=LIMITS, sds=(1.0, 1.0), period=3.0, sessions=("all",)).with_harmonics(),
+    PeriodicTableTerm(
+        limits=LIMITS,
+        orders=((1,), (2,), (3,), (4,)),
+        sds=(1.0, 1.0, 0.5, 0.5),
+        period=3.0,
+        sessions=("all",),
+    ),
     ProposedTableTerm(factors=(("x^2", "x", 5.0, 4.0), ("log(x)", "x", 0.0, 2.0))),
 ]
 
