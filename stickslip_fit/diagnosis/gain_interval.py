@@ -431,7 +431,7 @@ def _held_out_rms(
                 change = (held.T @ held) @ sizes - 2.0 * (held.T @ plain)[:, logs]
                 squares[logs, step] += plain_squares[logs] + np.einsum("ij,ij->j", sizes, change)
         count += len(held_out)
-    return np.sqrt(squares / count)
+    return np.sqrt(np.maximum(squares, 0.0) / count)  # below 0 by rounding, where next to nothing is left
 
 
 def simulate_selection(

@@ -24,7 +24,7 @@ from stickslip_fit.diagnosis.noise import NEIGHBOURS, Outliers, find_runs
 from stickslip_fit.diagnosis.noise_shape import fit_skewness
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, select_outliers
-from stickslip_fit.diagnosis.testability import MIN_DF, fits_exactly
+from stickslip_fit.diagnosis.testability import MIN_DF
 from stickslip_fit.diagnosis.unevenness import Residuals, estimate_unevenness, group_rows
 
 TAIL_DF = 5.0  # of Student's t, the heaviest tails that noise may have
@@ -33,6 +33,7 @@ MAX_PASSES, WEIGHT_TOL = 25, 0.05
 SUSPECT_Z, NO_WEIGHT = 10.0, 1e-6  # in the fit of the whole campaign; weight in that of each session
 RANK_TOL = 1e-6  # singular values of a block's Jacobian, relative to the largest
 PRIOR_DF = 4.0  # of the usual noise, for that of one block
+MIN_SCALE = 0.01  # of a robust fit, relative to the noise by least squares
 MIN_RELATIVE_SD = 0.3  # of a drive's noise, relative to that of all drives
 MAX_SHARE, MAX_ANYWAY = 0.05, 2  # of the rows; more are an effect, but for so few
 SHARED_DEPARTURE = 0.25  # of a row's departure; a neighbour with more has it too
@@ -51,7 +52,7 @@ def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
     if df < max(MIN_DF, len(problem) / 2):
         return nothing
     linearized = problem.linearize()
-    if fits_exactly(linearized):
+    if linearized.fits_exactly:
         return nothing
     z, parts = fit_robustly(problem)
     same = np.zeros(len(problem), dtype=np.intp)
@@ -93,7 +94,7 @@ def _deviation_from_others(
         predicted, own = part.law.model(problem.rows.iloc[part.rows])(part.values)
         z[part.rows] = problem.responses[part.rows] - predicted
         slopes |= dict(zip(part.rows.tolist(), own[:, : own.shape[1] - problem.n_shared], strict=True))
-    scale = _robust_scale(z, problem.noise_group) * ratio
+    scale = _robust_scale(z, problem) * ratio
     z /= scale
     deviation = z[rows].copy()
     for part in parts:
@@ -180,7 +181,7 @@ def _iterate_weights(
             problem.rows, parts, problem.responses, sd, (), np.zeros(0), n_shared=problem.n_shared
         )
         parts = fit.parts
-        scale = _robust_scale(fit.residual, problem.noise_group)
+        scale = _robust_scale(fit.residual, problem)
         z = fit.residual / scale
         held, before = weight == NO_WEIGHT, weight
         weight = np.where(held, NO_WEIGHT, (TAIL_DF + 1.0) / (TAIL_DF + z**2))
@@ -189,14 +190,17 @@ def _iterate_weights(
     return z, weight, tuple(parts)
 
 
-def _robust_scale(residual: Array, drive: IntArray) -> Array:
-    """Scale of Student's t noise by the median of each drive's absolute residuals, shape (n,)."""
-    size = np.abs(residual)
+def _robust_scale(residual: Array, problem: DiagnosisProblem) -> Array:
+    """Scale of Student's t noise by the median of each drive's absolute residuals, shape (n,).
+
+    Where most rows are equal, as many zeros are, a law may run through all of them, so that the median is 0.
+    """
+    size, drive = np.abs(residual), problem.noise_group
     pooled = max(float(np.median(size)), np.finfo(float).tiny)
     median = np.full(int(drive.max()) + 1, pooled)
     for number in np.unique(drive):
         median[number] = max(float(np.median(size[drive == number])), MIN_RELATIVE_SD * pooled)
-    return median[drive] / UNIT_MEDIAN
+    return np.maximum(median[drive] / UNIT_MEDIAN, MIN_SCALE * problem.scale)
 
 
 def _merge_sessions(part: LawBlock, drive: IntArray) -> LawBlock:

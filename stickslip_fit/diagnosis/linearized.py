@@ -28,6 +28,7 @@ from stickslip_fit.estimation._optimize import Groups
 RowChanges = tuple[IntArray, Array]
 RANK_TOL = 1e-6  # singular values of a block's Jacobian, relative to the largest
 MAX_LEVERAGE = 0.8  # for division by 1 - leverage: residuals of rows above it are mostly rounding
+EXACT_TOL = 1e-3  # standard deviations, less than which is rounding
 OFFSET_TOL = 3e-3  # standard errors before the last step
 # Of a fit. Causes that cannot do what the data ask for creep to the end of the law's domain.
 MAX_STEPS, LEAST_FALL = 100, 0.01
@@ -106,6 +107,11 @@ class LinearizedFit:
     def df(self) -> int:
         """Rows less calibration parameters."""
         return len(self) - self.basis.shape[1]
+
+    @property
+    def fits_exactly(self) -> bool:
+        """Whether the laws leave next to nothing of their noise."""
+        return len(self) > 0 and float(np.abs(self.residual).max()) < EXACT_TOL
 
     @property
     def leverage(self) -> Array:

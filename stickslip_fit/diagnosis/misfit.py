@@ -401,7 +401,8 @@ def compute_misfit(
     Biometrika 78:301, 1991). `p_value_factor` is that of `Misfit`. Noise that is `skewed`, or rounded by a
     `quantization`, is simulated as such.
     """
-    if not hypotheses or linearized.df < 1:  # a law with as many parameters as rows fits anything
+    # A law with as many parameters as rows fits anything; one that leaves nothing has nothing to be tested.
+    if not hypotheses or linearized.df < 1 or linearized.fits_exactly:
         return Misfit(
             linearized.residual, (), np.zeros(0), {}, 1.0, np.zeros(0), p_value_factor, linearized.basis
         )

@@ -26,7 +26,6 @@ MIN_DF = 10
 NO_TRIALS = (
     "none of its trials could be computed: the effect of each is no number, or its equations have no solution"
 )
-EXACT_TOL = 1e-3  # standard deviations
 
 
 def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dict[str, str]:
@@ -104,7 +103,7 @@ def _always_fails(cause: Any, linearized: LinearizedFit, sessions: Mapping[str, 
 def explain_too_small(linearized: LinearizedFit) -> str | None:
     """Why a log is too small for a test, and what would suffice; None where it is not."""
     if linearized.df >= MIN_DF:
-        if fits_exactly(linearized):
+        if linearized.fits_exactly:
             return "the law fits every row to within rounding: there is no scatter to compare anything with"
         return None
     rows, parameters = len(linearized), linearized.basis.shape[1]
@@ -118,11 +117,6 @@ def explain_too_small(linearized: LinearizedFit) -> str | None:
         f"{MIN_DF} more than that are needed; add {MIN_DF - linearized.df} in the same sessions and "
         "directions, replicates or new configurations"
     )
-
-
-def fits_exactly(linearized: LinearizedFit) -> bool:
-    """Whether a law leaves next to nothing of its noise."""
-    return len(linearized) > 0 and float(np.abs(linearized.residual).max()) < EXACT_TOL
 
 
 def is_log(linearized: LinearizedFit) -> bool:

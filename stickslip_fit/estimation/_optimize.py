@@ -1,9 +1,10 @@
 """Batched Levenberg-Marquardt: weighted nonlinear least squares of many groups at once.
 
-Each group has its own parameters and damping. Damped steps after D. Marquardt (SIAM J. Appl. Math.
-11:431, 1963), scaled as by J. Moré (Lecture Notes in Mathematics 630:105, 1978); damping falls faster
-than it rises (M. Transtrum and J. Sethna, arXiv:1201.5885, 2012). Steps are undamped once the relative
-offset of D. Bates and D. Watts (Technometrics 23:179, 1981) is small. Bounds are kept by an active set.
+Each group has its own parameters and damping. Damped steps after D. Marquardt (SIAM J. Appl. Math. 11:431,
+1963), scaled as by J. Moré (Lecture Notes in Mathematics 630:105, 1978). Damping falls faster than it rises
+(M. Transtrum and J. Sethna, arXiv:1201.5885, 2012), but ever faster from the fourth step refused in a row on
+(H. B. Nielsen, IMM-REP-1999-05, DTU). Steps are undamped once the relative offset of D. Bates and D. Watts
+(Technometrics 23:179, 1981) is small, or their gain rounding. Bounds are kept by an active set.
 """
 
 from __future__ import annotations
@@ -232,13 +233,13 @@ def normal_equations(
     model: Model, y: Array, weight: Array, groups: Groups, values: Array, scales: Array
 ) -> NormalEquations:
     """Evaluate the model at each group's values and sum up what follows."""
-    predicted, jacobian = model(values[groups.of_row])
-    residual = y - predicted
     p, root = scales.shape[1], np.sqrt(weight)
     # One contiguous row a column of [J, r]: summing by group is then a single pass over memory each.
     columns = np.empty((p + 1, len(y)))
-    columns[:p], columns[p] = jacobian.T * root, residual * root
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
+        predicted, jacobian = model(values[groups.of_row])
+        residual = y - predicted
+        columns[:p], columns[p] = jacobian.T * root, residual * root
         products = products_by_group(columns, groups)
         units = np.concatenate([scales, np.ones((len(groups), 1))], axis=1)
         products *= units[:, :, None] * units[:, None, :]
@@ -287,9 +288,8 @@ RowSubsetModel = Callable[[IntArray], Model]
 RANK_TOL = 1e-5
 REL_OFFSET_TOL = 1e-6
 DAMPING_UP, DAMPING_DOWN, FIRST_DAMPING, MAX_DAMPING = 2.0, 3.0, 1e-2, 1e20
-# In large logs the search leaves converged groups out once these have most of the rows.
-MIN_ROWS_FRACTION, MIN_ROWS = 0.5, 300
-PATIENCE = 15  # iterations
+MIN_ROWS_FRACTION, MIN_ROWS = 0.5, 300  # of groups still searched, below which the others are left out
+PATIENCE = 10  # iterations
 
 
 @dataclass(frozen=True)
@@ -432,6 +432,11 @@ class Objective:
         """Residuals, slopes and their products at a point, shape (g, p)."""
         return normal_equations(self.model, self.y, self.weight, self.groups, values, self.scales)
 
+    def rounding(self, here: NormalEquations) -> Array:
+        """By how much the sums of squares may be wrong, shape (u,)."""
+        size = self.weight * np.abs(here.residual) * (np.abs(self.y) + np.abs(self.y - here.residual))
+        return self.of_unit(np.finfo(float).eps * self.groups.sums(size))
+
     def gradient(self, here: NormalEquations) -> Array:
         """By how much half the sum of squares falls with each parameter, shape (g, p)."""
         return here.products[:, :-1, -1]
@@ -447,9 +452,8 @@ class Objective:
             rows = self.groups.of_row == group
             return here.columns[:-1, rows].T * (self.scales[group] / lengths), here.columns[-1, rows]
 
-        return factorize(
-            here.products[:, :-1, :-1], here.products[:, :-1, -1], lengths, self.rank_tol, whitened
-        )
+        form, gradient = here.products[:, :-1, :-1], here.products[:, :-1, -1]
+        return factorize(form, gradient, lengths, self.rank_tol, whitened)
 
     def active_bounds(self, here: NormalEquations, values: Array) -> BoolArray:
         """Parameters on a bound that the data would push beyond it, shape (g, p)."""
@@ -475,12 +479,13 @@ class Objective:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """State of the search: `lengths` are the greatest so far, `last_size` that of the last undamped step."""
+    """Greatest `lengths` so far, `last_size` of an undamped step, number of steps `refused` in a row."""
 
     values: Array
     here: NormalEquations
     lengths: Array
     damping: Array
+    refused: IntArray
     last_size: Array
     converged: BoolArray
     diverged: BoolArray
@@ -492,7 +497,7 @@ class _State:
 
     def select(self, some: BoolArray, groups: Groups) -> _State:
         """The state of some groups that are units."""
-        names = ("values", "lengths", "damping", "last_size", "converged", "diverged")
+        names = ("values", "lengths", "damping", "refused", "last_size", "converged", "diverged")
         return _State(
             here=self.here.select(some, groups), **{name: getattr(self, name)[some] for name in names}
         )
@@ -507,6 +512,7 @@ def search(objective: Objective, start: Array, damping: float, most: int) -> Min
         here=here,
         lengths=np.zeros(values.shape),
         damping=np.full(units, damping),
+        refused=np.zeros(units, dtype=np.intp),
         last_size=np.full(units, np.inf),
         converged=np.zeros(units, dtype=bool),
         diverged=~np.isfinite(objective.of_unit(here.cost)),
@@ -540,7 +546,8 @@ def _advance(objective: Objective, state: _State) -> _State:
     factors = objective.factors(free, lengths)
     undamped, cost = factors.step(np.zeros(len(damping))), objective.of_unit(here.cost)
     offset = relative_offset(factors, cost, objective.sizes)
-    near = offset < REL_OFFSET_TOL
+    rounding = objective.rounding(here)
+    near = (offset < REL_OFFSET_TOL) | (factors.gain < rounding)
     size = objective.largest(np.abs(undamped))
     # Steps that no longer shrink, so near the minimum, are rounding noise.
     close = (size < objective.tolerance) | (near & (size >= state.last_size))
@@ -553,17 +560,19 @@ def _advance(objective: Objective, state: _State) -> _State:
     there = objective.normal_equations(trial)
     new_cost = objective.of_unit(there.cost)
     # Near the minimum the cost changes by rounding alone, and a tiny step is right all the same.
-    better = (new_cost <= cost * np.where(near, 1.0 + 1e-10, 1.0)) | (close & np.isfinite(new_cost))
-    better &= active
+    slack = np.where(near, np.maximum(1e-10 * cost, rounding), 0.0)
+    better = active & ((new_cost <= cost + slack) | (close & np.isfinite(new_cost)))
     converged = state.converged | ((close | (near & ~better)) & ~state.diverged)
-    raised = np.minimum(np.maximum(damping * DAMPING_UP, FIRST_DAMPING * (damping == 0)), MAX_DAMPING)
-    damping = np.where(better, damping / DAMPING_DOWN, raised)
+    higher = damping * DAMPING_UP ** np.maximum(state.refused - 1.0, 1.0)
+    higher = np.minimum(np.where(damping == 0, FIRST_DAMPING, higher), MAX_DAMPING)
+    damping = np.where(better, damping / DAMPING_DOWN, higher)
     taken = objective.of_group(better)
     return _State(
         values=np.where(taken[:, None], trial, values),
         here=here.merge(there, taken, objective.groups),
         lengths=lengths,
         damping=damping,
+        refused=np.where(better | ~active, 0, state.refused + 1),
         last_size=np.where(near, size, np.inf),
         converged=converged,
         diverged=state.diverged | ((damping >= MAX_DAMPING) & ~converged),

@@ -35,6 +35,28 @@ def test_steps_that_are_rounding_noise_end_the_search(problem):
     assert found.iterations < 60
 
 
+@pytest.mark.parametrize("offset", [1e6, 1e8])
+def test_a_response_far_from_zero_is_fitted_as_soon_as_one_about_zero(offset):
+    """Its sum of squares has few digits, so that near the minimum no step seems to lower it."""
+    rng, groups, x = np.random.default_rng(2), grouped(40, 1), np.linspace(0, 3, 40)
+    y = 2.0 * np.exp(-1.3 * x) + 1e-5 * rng.standard_normal(40)
+    inner = exponential(x)
+
+    def lifted(values):
+        response, slopes = inner(values[:, 1:])
+        return values[:, 0] + response, np.column_stack([np.ones(40), slopes])
+
+    about_zero, far = (
+        minimize(lifted, shift + y, np.ones(40), groups, start, np.abs(start) + 1.0, tolerance=0.0, most=30)
+        for shift, start in ((0.0, np.array([[0.0, 1.0, 1.0]])), (offset, np.array([[offset, 1.0, 1.0]])))
+    )
+    assert about_zero.converged.all()
+    assert far.converged.all()
+    standard_error = np.sqrt(np.linalg.inv(about_zero.curvature[0]).diagonal()) * 1e-5
+    deviation = (far.values - about_zero.values)[0] - [offset, 0.0, 0.0]
+    assert np.all(np.abs(deviation) < 1e-2 * standard_error + 4.0 * np.spacing(offset))
+
+
 def test_a_group_is_not_disturbed_by_another_that_fails(problem):
     groups, x, y = problem
     ones = np.ones((50, 2))

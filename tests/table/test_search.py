@@ -1,6 +1,7 @@
 """What is named in tables: false alarms, power beside a test that knows the noise, and outliers."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import binom
 
@@ -130,6 +131,23 @@ def test_a_law_that_fits_exactly_has_nothing_wrong():
     diagnosis = ssf.diagnose_table(exact, LAW, **ROLES)
     assert diagnosis.verdict == "nothing wrong"
     assert "no scatter" in diagnosis.untestable["drift"]
+
+
+def test_a_law_that_fits_exactly_with_a_cause_ends_the_search():
+    rng = np.random.default_rng(4)
+    rows = pd.DataFrame({"x": rng.normal(size=21), "year": np.arange(1921.0, 1942.0)})
+    diagnosis = ssf.diagnose_table(rows.assign(y=rows["year"] - 1931.0), "y ~ a + b*x", time="year")
+    assert [one.cause for one in diagnosis.findings] == ["drift"]
+    assert diagnosis.gain.extended < 1e-6 * diagnosis.gain.baseline
+
+
+def test_a_table_of_mostly_zeros_has_an_answer():
+    """A robust fit may run through all zeros, so that its scale is none."""
+    rng = np.random.default_rng(1)
+    rows = pd.DataFrame({"x": np.sort(rng.integers(20, 43_000, 200)) * 1.0, "u": rng.normal(size=200)})
+    rows["y"] = np.where(np.arange(200) % 8 < 3, rows["x"] - 1.0, 0.0)
+    diagnosis = ssf.diagnose_table(rows, "y ~ a + b*exp(-k*x)", gain=False)
+    assert 0.0 < diagnosis.p_value <= 1.0
 
 
 @pytest.mark.parametrize("factor", [1e-15, pytest.param(1e15, marks=pytest.mark.nightly)])
