@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import product
 
 import numpy as np
@@ -172,11 +172,11 @@ class Autocorrelation:
 
     def _choose_effects(self, linearized: LinearizedFit, candidates: Array) -> tuple[Array, Autocorrelation]:
         """Those that count as part of the mean, whitened and projected, and the noise beside them."""
-        certain = linearized.project(linearized.whiten(candidates))
+        certain = _beyond_laws(linearized, candidates)
         alone = estimate_noise(linearized, certain, self.sample)
         if self.possible_effects is None:
             return certain, alone
-        possible = spanning(linearized.project(linearized.whiten(self.possible_effects)))
+        possible = spanning(_beyond_laws(linearized, self.possible_effects))
         every = np.concatenate([certain, possible], axis=1)
         beside = estimate_noise(linearized, every, self.sample)
         advantage = criterion(linearized, every, beside) - criterion(linearized, certain, alone)
@@ -307,12 +307,20 @@ def _fit_wandering(likelihood: RestrictedLikelihood, most: float) -> Array:
             return likelihood.criterion(_wandering_partials(*np.tanh(z)), 2)
         return np.inf
 
-    start = min((np.arctanh(one) for one in WANDERING), key=criterion)
-    if criterion(start) > most:
-        return _wandering_partials(*np.tanh(start))
+    begun = _start_of_wandering()
+    criteria = likelihood.criteria(begun, 2)
+    best = int(np.argmin(criteria))
+    if criteria[best] > most:
+        return begun[best]
+    start = np.arctanh(WANDERING[best])
     bounds = [(0.0, float(np.arctanh(LARGEST_PARTIALS[0])))] * 2
     result = minimize(criterion, start, method="Nelder-Mead", bounds=bounds, options={"maxfev": 40})
     return _wandering_partials(*np.tanh(result.x))
+
+
+@cache
+def _start_of_wandering() -> Array:
+    return np.stack([_wandering_partials(*one) for one in WANDERING])
 
 
 def _wandering_partials(phi: float, theta: float) -> Array:
@@ -364,6 +372,13 @@ def find_shock(linearized: LinearizedFit, effects: Array, noise: Autocorrelation
     z = np.abs(seen.T @ innovations) / np.linalg.norm(seen, axis=0) / max(sd, np.finfo(float).tiny)
     best = int(np.argmax(z))
     return None if z[best] < MIN_SHOCK_SD else columns[:, best]
+
+
+def _beyond_laws(linearized: LinearizedFit, effects: Array) -> Array:
+    """Effects whitened and projected, but for those that the laws describe, of which rounding is left."""
+    whitened = linearized.whiten(effects)
+    left = linearized.project(whitened)
+    return left[:, np.linalg.norm(left, axis=0) > SPAN_TOL * np.linalg.norm(whitened, axis=0)]
 
 
 def spanning(columns: Array) -> Array:

@@ -88,6 +88,40 @@ class _LagSums:
         return np.array([(depth, *pair) for depth, sums in every for pair in sorted(sums)]).T
 
 
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """Least squares under k filters: blocks' own columns eliminated first, then the border.
+
+    Attributes
+    ----------
+    value : array, shape (k,)
+        Negative log likelihood.
+    squares : array, shape (k,)
+        Of the filtered residual.
+    direction : array, shape (k, m + 1, 1)
+        That residual in terms of the border's columns and the response.
+    inverse_border, inverse, eliminated : array
+        Of the border's products, shape (k, m, m), of each block's own, (k, b, q, q), and the latter times the
+        block's products with the border.
+    """
+
+    value: Array
+    squares: Array
+    direction: Array
+    inverse_border: Array
+    inverse: Array
+    eliminated: Array
+
+    def slopes(self, df: int) -> Array:
+        """Derivatives of the first value by the filtered columns' products."""
+        direction, eliminated = self.direction[0], self.eliminated[0]
+        by_left = 0.5 * df / self.squares[0] * (direction @ direction.T)
+        by_left[:-1, :-1] += 0.5 * self.inverse_border[0]
+        by_across = -2.0 * eliminated @ by_left
+        by_within = eliminated @ by_left @ eliminated.swapaxes(1, 2) + 0.5 * self.inverse[0]
+        return np.concatenate([by_left.ravel(), np.concatenate([by_within, by_across], axis=2).ravel()])
+
+
 class RestrictedLikelihood:
     """Of an autoregression about a mean linear in blocks' own parameters and in those of a border.
 
@@ -122,7 +156,19 @@ class RestrictedLikelihood:
 
     def criterion(self, partial: Array, n_free: int) -> float:
         """Bayesian information criterion, over -2, for noise of so many parameters."""
-        return self.negative_log(partial) + 0.5 * n_free * float(np.log(max(self.df, 2)))
+        return self.negative_log(partial) + self._price(n_free)
+
+    def criteria(self, partials: Array, n_free: int) -> Array:
+        """The same of several, shape (k, p) -> (k,); infinite where there is no likelihood."""
+        sums = self._sums_of(partials.shape[1])
+        with suppress(np.linalg.LinAlgError):
+            return self._solve(sums, partials, _weights(sums, partials)).value + self._price(n_free)
+        if len(partials) == 1:
+            return np.full(1, np.inf)
+        return np.concatenate([self.criteria(one[None], n_free) for one in partials])
+
+    def _price(self, n_free: int) -> float:
+        return 0.5 * n_free * float(np.log(max(self.df, 2)))
 
     def maximize(self, start: Array) -> Array:
         """Partial autocorrelations of the highest likelihood."""
@@ -151,7 +197,7 @@ class RestrictedLikelihood:
     def negative_log(self, partial: Array) -> float:
         """Negative log likelihood, the noise's variance maximized out, but for a constant."""
         sums = self._sums_of(len(partial))
-        return self._evaluate(sums, partial, _weights(sums, partial[None])[0])[0]
+        return float(self._solve(sums, partial[None], _weights(sums, partial[None])).value[0])
 
     def differentiate(self, partial: Array) -> tuple[float, Array]:
         """`negative_log` and its derivatives, shape (p,)."""
@@ -161,43 +207,40 @@ class RestrictedLikelihood:
             _weights(sums, np.concatenate([partial[None], partial + steps, partial - steps])),
             [1, len(partial) + 1],
         )
-        value, by_cell = self._evaluate(sums, partial, here[0])
+        solved = self._solve(sums, partial[None], here)
+        by_cell = solved.slopes(self.df)
         slopes = (ahead - behind) @ (sums.matrix @ by_cell) / (2.0 * WEIGHT_STEP)
-        counts = np.bincount(np.minimum(self.place, sums.order), minlength=sums.order + 1)
-        beyond = counts[::-1].cumsum()[::-1][1:]
-        return value, slopes - beyond * partial / (1.0 - partial**2)
+        beyond = self._counts(sums.order)[::-1].cumsum()[::-1][1:]
+        return float(solved.value[0]), slopes - beyond * partial / (1.0 - partial**2)
 
-    def _evaluate(self, sums: _LagSums, partial: Array, weights: Array) -> tuple[float, Array]:
-        """The negative log likelihood, and its derivatives by the filtered columns' products."""
+    def _counts(self, order: int) -> IntArray:
+        """Rows with 0, 1, ... and at least `order` values before them."""
+        return np.bincount(np.minimum(self.place, order), minlength=order + 1)
+
+    def _solve(self, sums: _LagSums, partials: Array, weights: Array) -> _Solved:
+        """The negative log likelihood of filters of partials (k, p), with the weights of their sums."""
         own = self.own_width
         cells, width = weights @ sums.matrix, self.columns.shape[1] - own
-        left, rest = cells[: width**2].reshape(width, width), cells[width**2 :]
-        if left[-1, -1] < MIN_LEFT * float(np.abs(weights) @ np.abs(sums.matrix[:, width**2 - 1])):
+        left = cells[:, : width**2].reshape(len(weights), width, width)
+        least = MIN_LEFT * (np.abs(weights) @ np.abs(sums.matrix[:, width**2 - 1]))
+        products = cells[:, width**2 :].reshape(len(weights), self.n_blocks, own, own + width)
+        within, across = products[..., :own] + self.filled_up, products[..., own:]
+        lower, inverse = np.linalg.cholesky(within), np.linalg.inv(within)
+        eliminated = inverse @ across
+        rows = (len(left), self.n_blocks * own, width)
+        left_after = left - across.reshape(rows).swapaxes(1, 2) @ eliminated.reshape(rows)
+        border = np.linalg.cholesky(left_after[:, :-1, :-1])
+        inverse_border = np.linalg.inv(left_after[:, :-1, :-1])
+        sizes = -inverse_border @ left_after[:, :-1, -1:]
+        direction = np.concatenate([sizes, np.ones((len(left), 1, 1))], axis=1)
+        squares = (direction.swapaxes(1, 2) @ left_after @ direction)[:, 0, 0]
+        if np.any(left[:, -1, -1] < least) or np.any(squares <= 0.0):
             raise np.linalg.LinAlgError
-        products = rest.reshape(self.n_blocks, own, own + width)
-        within, across = products[:, :, :own] + self.filled_up, products[:, :, own:]
-        lower = np.linalg.cholesky(within)
-        inverse = np.linalg.inv(within)
-        solved = inverse @ across
-        left = left - np.einsum("kij,kil->jl", across, solved)
-        border = np.linalg.cholesky(left[:-1, :-1])
-        inverse_border = np.linalg.inv(left[:-1, :-1])
-        direction = np.append(-inverse_border @ left[:-1, -1], 1.0)
-        squares = float(direction @ left @ direction)
-        if squares <= 0.0:
-            raise np.linalg.LinAlgError
-        log_determinant = sum(
-            2.0 * float(np.log(np.diagonal(one, axis1=-2, axis2=-1)).sum()) for one in (lower, border)
-        )
-        log_sd = 0.5 * np.cumsum(np.append(0.0, np.log1p(-(partial**2))))
-        value = 0.5 * self.df * float(np.log(squares)) + 0.5 * log_determinant
-        value += float(log_sd[np.minimum(self.place, sums.order)].sum())
-        by_left = 0.5 * self.df / squares * np.outer(direction, direction)
-        by_left[:-1, :-1] += 0.5 * inverse_border
-        by_across = -2.0 * solved @ by_left
-        by_within = solved @ by_left @ solved.transpose(0, 2, 1) + 0.5 * inverse
-        by_block = np.concatenate([by_within, by_across], axis=2)
-        return value, np.concatenate([by_left.ravel(), by_block.ravel()])
+        value = 0.5 * self.df * np.log(squares) + np.log(np.diagonal(lower, 0, 2, 3)).sum(axis=(1, 2))
+        value += np.log(np.diagonal(border, 0, 1, 2)).sum(axis=1)
+        log_sd = 0.5 * np.cumsum(np.log1p(-(partials**2)), axis=1)
+        value += log_sd @ self._counts(sums.order)[1:]
+        return _Solved(value, squares, direction, inverse_border, inverse, eliminated)
 
     def _sums_of(self, order: int) -> _LagSums:
         """Those of an order, from those of the order before."""

@@ -228,12 +228,12 @@ def _find_separator(lines: list[str]) -> str:
 
 
 def _share_named(lines: list[str], separator: str) -> float:
-    """The share of columns that have a name; 0 without a header."""
+    """The share of columns that have a name, as a first one of row numbers need not; 0 without a header."""
     try:
         names = _find_layout([cells for _, cells in _split(list(enumerate(lines)), separator)], []).names
     except InputError:
         return 0.0
-    return len(_without_empty(names)) / len(names)
+    return (len(_without_empty(names)) + (not names[0])) / len(names)
 
 
 def _find_layout(rows: list[list[str]], commented: list[str]) -> _Layout:

@@ -89,6 +89,19 @@ def test_the_likelihood_and_its_slopes_are_those_of_the_covariance():
     assert slopes == pytest.approx(numeric_slopes(likelihood.negative_log, partial, 1e-5), abs=1e-4)
 
 
+def test_what_the_law_describes_already_changes_nothing_in_the_noise():
+    """Projected, it is rounding, and no direction of that is part of the mean."""
+    rows = signal(np.random.default_rng(6), "0.9", 1, 120)
+    problem, _ = problem_from_table(rows, LAW, roles=TableRoles(**SHARED), generic_causes=())
+    linearized, sample = problem.linearize(), problem.autocorrelation.sample
+    own = rows[["acc", "vel"]].to_numpy() @ np.random.default_rng(7).normal(size=(2, 6))
+    alone, beside = (
+        Autocorrelation(sample, candidates).estimate(linearized).coefficients
+        for candidates in (np.zeros((120, 0)), own)
+    )
+    np.testing.assert_allclose(beside, alone, rtol=1e-9)
+
+
 def test_short_sessions_do_not_make_the_autocorrelation_too_small():
     found, plain = [], []
     for seed in range(6):

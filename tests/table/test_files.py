@@ -77,6 +77,15 @@ def test_row_names_of_r_are_a_column_without_a_name(tmp_path):
     assert frame["force"].tolist() == NUMBERS["force"].tolist()
 
 
+def test_a_blank_within_each_cell_of_text_separates_nothing(tmp_path):
+    """Beside row numbers without a name, as R and pandas write them."""
+    body = "".join(f'"{k}","Frank No{k}",{k + 0.5}\n' for k in range(1, 6))
+    frame, said = read(tmp_path, f'"","name","speed"\n{body}')
+    assert list(frame) == ["column 1", "name", "speed"]
+    assert frame["name"][1] == "Frank No2"
+    assert not said
+
+
 @pytest.mark.parametrize(
     ("content", "told"),
     [
