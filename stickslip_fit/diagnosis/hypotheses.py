@@ -8,6 +8,7 @@ no directions (`memory`). Directions confined to a session are stored for its ro
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -218,12 +219,13 @@ def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Arr
     None where calibration absorbs the effects, where they are too large to be numbers, or where their
     eigenvalues do not converge.
     """
-    if not np.isfinite(effects).all() or np.abs(effects).max(initial=0.0) > MAX_EFFECT:
+    if not np.abs(effects).max(initial=0.0) <= MAX_EFFECT:  # nor if any is no number
         return None
     n, rows = len(effects), find_rows(effects)
     effects = effects[rows]
     if effects.shape[1] == 1:
-        length = float(np.linalg.norm(effects))
+        column = effects.ravel()
+        length = math.sqrt(column @ column)
         if length < EFFECT_TOL:
             return None
         block, one_sided = (rows, effects / length), is_one_sided(version, values)
@@ -243,7 +245,7 @@ def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Arr
 
 def find_rows(effects: Array) -> IntArray | slice:
     """The rows outside of which effects, shape (n, m), are zero; all where these are nearly all."""
-    acts = effects.any(axis=1)
+    acts = effects[:, 0] != 0 if effects.shape[1] == 1 else effects.any(axis=1)
     return np.flatnonzero(acts) if np.count_nonzero(acts) < SPARSE * len(effects) else slice(None)
 
 
