@@ -434,10 +434,8 @@ class ExtendedLaw(StepLaw):
         active = self.by_stage[FactorCause]
         return [cause.factor(true, _split(values, columns)) for cause, columns in active]
 
-    def _factor_slopes(
-        self, true: State, values: Array, factors: Sequence[Array]
-    ) -> Iterator[tuple[range, Array]]:
-        """Derivatives of all factors together by the parameters of each, shape (q, n, k) or (q, n, 1)."""
+    def _factor_slopes(self, true: State, values: Array, factors: list[Array]) -> Iterator[Any]:
+        """Columns of each factor, and derivatives of all together by them, (q, n, k) or (q, n, 1)."""
         for place, (cause, columns) in enumerate(self.by_stage[FactorCause]):
 
             def factor(shifted: Array, cause: FactorCause = cause, columns: range = columns) -> Array:
@@ -587,7 +585,6 @@ def _split(values: Array, columns: range) -> list[Array]:
 
 
 def _multiply(factors: Iterable[Array], values: Array) -> Array:
-    """All factors together, shape (n, k) or (n, 1)."""
     return reduce(np.multiply, factors, np.ones((len(values), 1)))
 
 
