@@ -381,12 +381,13 @@ class ExtendedLaw(StepLaw):
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
         true = self.true_state(state, values)
-        return self._before_factors(true, values) * self._factor(true, values)
+        return self._before_factors(true, values) * _multiply(self._factors(true, values), values)
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma_slopes`; by the causes' parameters from central differences."""
         true, law_values = self.true_state(state, values), values[:, : len(self.law.parameters)]
-        before, factor = self._before_factors(true, values), self._factor(true, values)
+        before, factors = self._before_factors(true, values), self._factors(true, values)
+        factor = _multiply(factors, values)
         by_law = self.law.gamma_slopes(true, law_values)
         slopes = [np.zeros((len(values), 1))] * len(self.parameters)
         for (cause, columns), free in zip(self.by_stage[TermCause], self._free(true, values), strict=True):
@@ -394,7 +395,7 @@ class ExtendedLaw(StepLaw):
             by_law = by_law + by_free[..., None] * self.law.gamma_slopes(cause.unload(true), law_values)
             slopes[columns.start : columns.stop] = [own * factor for own in by_own]
         slopes[: len(self.law.parameters)] = np.moveaxis(by_law * factor[..., None], -1, 0)
-        for columns, by_factor in self._factor_slopes(true, values):
+        for columns, by_factor in self._factor_slopes(true, values, factors):
             slopes[columns.start : columns.stop] = before * by_factor
         for k in (k for _, columns in self.by_stage[StateCause] for k in columns if self._has_slope(k)):
             slopes[k] = self.difference(lambda shifted: self.gamma(state, shifted), values, k)
@@ -429,17 +430,13 @@ class ExtendedLaw(StepLaw):
         """Whether cause parameter `k` acts on this joint, and not as the moment of a sudden change."""
         return bool(self.affects_joint[k]) and not self.cause_parameters[k - len(self.law.parameters)].sudden
 
-    def _factor(self, true: State, values: Array) -> Array:
-        factor = np.ones((len(values), 1))
-        for cause, columns in self.by_stage[FactorCause]:
-            factor = factor * cause.factor(true, _split(values, columns))
-        return factor
-
-    def _factor_slopes(self, true: State, values: Array) -> Iterator[tuple[range, Array]]:
-        """Derivatives of all factors together by the parameters of each, shape (q, n, k) or (q, n, 1)."""
+    def _factors(self, true: State, values: Array) -> list[Array]:
         active = self.by_stage[FactorCause]
-        factors = [cause.factor(true, _split(values, columns)) for cause, columns in active]
-        for place, (cause, columns) in enumerate(active):
+        return [cause.factor(true, _split(values, columns)) for cause, columns in active]
+
+    def _factor_slopes(self, true: State, values: Array, factors: list[Array]) -> Iterator[Any]:
+        """Columns of each factor, and derivatives of all together by them, (q, n, k) or (q, n, 1)."""
+        for place, (cause, columns) in enumerate(self.by_stage[FactorCause]):
 
             def factor(shifted: Array, cause: FactorCause = cause, columns: range = columns) -> Array:
                 return cause.factor(true, _split(shifted, columns))
@@ -585,6 +582,10 @@ class ExtendedLaw(StepLaw):
 def _split(values: Array, columns: range) -> list[Array]:
     """A cause's own values, each of shape (n, 1)."""
     return [values[:, k, None] for k in columns]
+
+
+def _multiply(factors: Iterable[Array], values: Array) -> Array:
+    return reduce(np.multiply, factors, np.ones((len(values), 1)))
 
 
 def extend(law: StepLaw, *causes: Cause) -> ExtendedLaw:

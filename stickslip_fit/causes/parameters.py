@@ -229,8 +229,10 @@ MIN_TRAVERSES = 3  # before and after a change
 def candidate_moments(rows: pd.DataFrame) -> list[tuple[str, Array]]:
     """Times halfway between traverses, s since the first, of each session that has enough traverses."""
     times, target_spacing = [], len(rows) / PER_LOG
-    for session, subset in rows.groupby(rows["session"].astype(object), sort=False):
-        seconds = np.unique(subset["session_seconds"].to_numpy(float))
+    number, names = pd.factorize(rows["session"].astype(object))
+    every = rows["session_seconds"].to_numpy(float)
+    for own, session in enumerate(names):
+        seconds = np.unique(every[number == own])
         between = ((seconds[1:] + seconds[:-1]) / 2)[MIN_TRAVERSES - 1 : 1 - MIN_TRAVERSES]
         if len(between):
             spacing = min(target_spacing, len(between) / MIN_PER_SESSION)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from math import log, log10
 from typing import Self
 
@@ -122,7 +122,7 @@ class SessionJump(StageCause):
         subject = "Steps {A:grow|shrink}" if self.form == STEP else f"The {self.form} {{A:grows|falls}}"
         return subject + " by {A} {moment} into session {session}, and stay so"
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `Cause`."""
         what = "step size" if self.form == STEP else self.form

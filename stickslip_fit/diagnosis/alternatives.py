@@ -13,7 +13,7 @@ import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.generic import ColumnDependence
-from stickslip_fit.causes.proposed import SMOOTH_SCALE, Mode, PeriodicTerm, SmoothTerm
+from stickslip_fit.causes.proposed import SMOOTH_SCALE, PeriodicTerm, SmoothTerm
 from stickslip_fit.causes.table_terms import SmoothTableTerm
 from stickslip_fit.diagnosis.hypotheses import (
     Hypothesis,
@@ -65,13 +65,12 @@ def _alternatives_in_time(linearized: LinearizedFit) -> Iterator[Hypothesis]:
     if one := make_hypothesis(name, alike, None, linearized.project(waves)):
         yield one
     own = replace(alike, sessions=tuple(map(str, dict.fromkeys(rows["session"].astype(object)))))
-    yield from _with_version(own, build_per_session_hypotheses(["unknown:time"], n, sessions, waves[:, None]))
+    yield from build_per_session_hypotheses(["unknown:time"], n, sessions, waves[:, None], [own])
     for joint in map(int, rows["joint"].unique()):
         inside = waves * (rows["joint"] == joint).to_numpy()[:, None]
-        by_joint = build_per_session_hypotheses(
-            [f"unknown:time, joint {joint}"], n, sessions, inside[:, None]
-        )
-        yield from _with_version(replace(own, on=((joint, "+"), (joint, "-"))), by_joint)
+        of_joint = replace(own, on=((joint, "+"), (joint, "-")))
+        name = f"unknown:time, joint {joint}"
+        yield from build_per_session_hypotheses([name], n, sessions, inside[:, None], [of_joint])
     for clock in ("session_seconds", "session_order"):
         yield from _periodic_alternatives(linearized, sessions, clock)
 
@@ -87,20 +86,19 @@ def _periodic_alternatives(
     pairs = _cosines_and_sines(values, 1.0 / periods) * (SMOOTH_SCALE / linearized.scale)[:, None, None]
     sign = linearized.direction_sign
     plain = PeriodicTerm((clock,), ((0.0, float(values.max())),), sessions=tuple(map(str, names)))
-    hypotheses: list[Hypothesis] = []
-    numbers = [str(number) for number in range(len(periods))]
-    alike = build_per_session_hypotheses(numbers, len(rows), sessions, pairs)
-    opposite = (
-        [replace(one, sign=sign) for one in alike]
-        if linearized.allows_opposite
-        else build_per_session_hypotheses(numbers, len(rows), sessions, pairs * sign[:, None, None])
-    )
-    modes: tuple[tuple[Mode, list[Hypothesis]], ...] = (("same", alike), ("opposite", opposite))
-    for mode, its_hypotheses in modes:
-        for one in its_hypotheses:
-            version = replace(plain, mode=mode, period=float(periods[int(one.cause)]))
-            hypotheses.append(replace(one, cause=f"unknown:{version}", version=version))
-    return hypotheses
+    same = [replace(plain, period=period) for period in periods.tolist()]
+    alike = build_per_session_hypotheses(_names(same), len(rows), sessions, pairs, same)
+    if linearized.allows_opposite:
+        opposite = [replace(one.version, mode="opposite") for one in alike]
+        turned = zip(alike, _names(opposite), opposite, strict=True)
+        return [*alike, *(replace(one, cause=name, version=own, sign=sign) for one, name, own in turned)]
+    opposite, turned_pairs = [replace(one, mode="opposite") for one in same], pairs * sign[:, None, None]
+    names = _names(opposite)
+    return [*alike, *build_per_session_hypotheses(names, len(rows), sessions, turned_pairs, opposite)]
+
+
+def _names(versions: Iterable[PeriodicTerm]) -> list[str]:
+    return [f"unknown:{version}" for version in versions]
 
 
 def _cosines_and_sines(clock: Array, frequencies: Array) -> Array:
@@ -113,10 +111,6 @@ def _cosines_and_sines(clock: Array, frequencies: Array) -> Array:
         np.multiply(waves[:, : following.shape[1]], turn, out=following)
         turn, known = turn**2, 2 * known
     return waves.view(float).reshape(*waves.shape, 2)
-
-
-def _with_version(version: SmoothTerm, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
-    return [replace(one, version=version) for one in hypotheses]
 
 
 def attribute_to_causes(

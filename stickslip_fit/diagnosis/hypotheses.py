@@ -8,6 +8,7 @@ no directions (`memory`). Directions confined to a session are stored for its ro
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -218,12 +219,13 @@ def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Arr
     None where calibration absorbs the effects, where they are too large to be numbers, or where their
     eigenvalues do not converge.
     """
-    if not np.isfinite(effects).all() or np.abs(effects).max(initial=0.0) > MAX_EFFECT:
+    if not np.abs(effects).max(initial=0.0) <= MAX_EFFECT:  # nor if any is no number
         return None
     n, rows = len(effects), find_rows(effects)
     effects = effects[rows]
     if effects.shape[1] == 1:
-        length = float(np.linalg.norm(effects))
+        column = effects.ravel()
+        length = math.sqrt(column @ column)
         if length < EFFECT_TOL:
             return None
         block, one_sided = (rows, effects / length), is_one_sided(version, values)
@@ -243,7 +245,7 @@ def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Arr
 
 def find_rows(effects: Array) -> IntArray | slice:
     """The rows outside of which effects, shape (n, m), are zero; all where these are nearly all."""
-    acts = effects.any(axis=1)
+    acts = effects[:, 0] != 0 if effects.shape[1] == 1 else effects.any(axis=1)
     return np.flatnonzero(acts) if np.count_nonzero(acts) < SPARSE * len(effects) else slice(None)
 
 
@@ -355,14 +357,19 @@ def build_session_hypotheses(
 
 
 def build_per_session_hypotheses(
-    names: Sequence[str], n: int, sessions: Sequence[SessionFit], effects: Array
+    names: Sequence[str],
+    n: int,
+    sessions: Sequence[SessionFit],
+    effects: Array,
+    versions: Sequence[Any] | None = None,
 ) -> list[Hypothesis]:
-    """A hypothesis of each name, with independent coefficients in every session.
+    """A hypothesis of each name and version, with independent coefficients in every session.
 
     `n` is the number of rows; `effects`, shape (n, number of names, w), are whitened.
     """
+    versions = [None] * len(names) if versions is None else versions
     if sessions[0].shared_basis.shape[1] and 1 < len(sessions) <= MAX_COUPLED_SESSIONS:
-        return _couple_sessions(names, n, sessions, effects)
+        return _couple_sessions(names, n, sessions, effects, versions)
     directions, variances = [], []
     for session in sessions:
         flat = session.project(effects[session.rows].reshape(len(session), -1))
@@ -389,12 +396,12 @@ def build_per_session_hypotheses(
             for session, own, inside in zip(sessions, directions, kept[k], strict=True)
         )
         share, length = variance[k][kept[k]] / total[k], float(np.sqrt(total[k]))
-        hypotheses.append(Hypothesis(names[k], None, None, n, blocks, share, length))
+        hypotheses.append(Hypothesis(names[k], versions[k], None, n, blocks, share, length))
     return hypotheses
 
 
 def _couple_sessions(
-    names: Sequence[str], n: int, sessions: Sequence[SessionFit], effects: Array
+    names: Sequence[str], n: int, sessions: Sequence[SessionFit], effects: Array, versions: Sequence[Any]
 ) -> list[Hypothesis]:
     """As `build_per_session_hypotheses`, with what all sessions share projected out of all of them together.
 
@@ -408,12 +415,12 @@ def _couple_sessions(
         for session in sessions
     ]
     hypotheses = []
-    for k, name in enumerate(names):
+    for k, (name, version) in enumerate(zip(names, versions, strict=True)):
         own = np.zeros((n, len(sessions), effects.shape[2]))
         for place, (session, columns) in enumerate(zip(sessions, projected, strict=True)):
             own[session.rows, place] = columns[:, k]
         columns = own.reshape(n, -1)
-        hypotheses.append(make_hypothesis(name, None, None, columns - shared @ (shared.T @ columns)))
+        hypotheses.append(make_hypothesis(name, version, None, columns - shared @ (shared.T @ columns)))
     return [one for one in hypotheses if one is not None]
 
 

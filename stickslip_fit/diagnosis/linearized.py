@@ -97,11 +97,9 @@ class LinearizedFit:
         return {str(name): self.rows[name].to_numpy() for name in self.rows}
 
     @cached_property
-    def tables(self) -> tuple[dict[str, npt.NDArray[Any]], ...]:
+    def tables(self) -> tuple[RowSubset, ...]:
         """As `columns`, for each part's rows."""
-        return tuple(
-            {name: values[part.rows] for name, values in self.columns.items()} for part in self.parts
-        )
+        return tuple(RowSubset(self.rows, part.rows) for part in self.parts)
 
     @property
     def df(self) -> int:

@@ -34,6 +34,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import compress
+from operator import and_, not_
 from typing import Any
 
 import numpy as np
@@ -369,19 +371,18 @@ def drop_single_rows(hypotheses: Sequence[Hypothesis | AR1]) -> list[Hypothesis 
     What is mostly in one row cannot be told from an outlier there. But a few shapes that are left would only
     stand for those that are not.
     """
-    shared = [
-        one
-        for one in hypotheses
-        if not isinstance(one, Hypothesis)
+    causes = list(map(classify_cause, hypotheses))
+    is_shared = [
+        not isinstance(one, Hypothesis)
         # No row has more than the largest share, since the directions are orthonormal.
         or one.prior_share.max(initial=0.0) <= MAX_ROW_SHARE
         or one.largest_row_share <= MAX_ROW_SHARE
+        for one in hypotheses
     ]
-    number, left = (Counter(map(classify_cause, some)) for some in (hypotheses, shared))
+    number, left = Counter(causes), Counter(compress(causes, is_shared))
     known = {cause for cause, count in left.items() if count >= MIN_LEFT_SHARE * number[cause]} | {UNKNOWN}
-    return [one for one in hypotheses if classify_cause(one) not in known] + [
-        one for one in shared if classify_cause(one) in known
-    ]
+    of_known = [cause in known for cause in causes]
+    return [*compress(hypotheses, map(not_, of_known)), *compress(hypotheses, map(and_, is_shared, of_known))]
 
 
 def compute_misfit(
@@ -529,11 +530,11 @@ def weigh_hypotheses(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[st
         hypothesis.cause.split(" ")[0].removesuffix(",") if cause == UNKNOWN else cause
         for hypothesis, cause in zip(hypotheses, causes, strict=True)
     ]
-    sizes = Counter(families)
-    n_kinds = len({family for family in families if family.startswith(f"{UNKNOWN}:")})
+    sizes = {family: np.log(size) for family, size in Counter(families).items()}
+    log_kinds = np.log(max(sum(family.startswith(f"{UNKNOWN}:") for family in sizes), 1))
     return -np.array(
         [
-            np.log(sizes[family]) + (np.log(n_kinds) if cause == UNKNOWN else 0.0)
+            sizes[family] + (log_kinds if cause == UNKNOWN else 0.0)
             for family, cause in zip(families, causes, strict=True)
         ]
     )

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.special import digamma, polygamma, softmax, stdtrit
+from scipy.special import digamma, softmax, stdtrit, zeta
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
@@ -194,9 +194,10 @@ def shrink_variances(variance: Array, df: Array) -> Array:
     own, least, most = np.where(known, df, 0.0), *PRIOR_DF
     log_variance = np.log(variance[known]) - digamma(df[known] / 2) + np.log(df[known] / 2)
     excess = float(np.var(log_variance, ddof=1)) if known.sum() > 1 else 0.0
-    excess -= float(np.mean(polygamma(1, df[known] / 2)))
-    excess = float(np.clip(excess, polygamma(1, most / 2), polygamma(1, least / 2)))
-    prior_df = brentq(lambda d: float(polygamma(1, d / 2)) - excess, least / 2, 2 * most)
+    # The trigamma function, the first derivative of digamma, is this zeta function.
+    excess -= float(np.mean(zeta(2, df[known] / 2)))
+    excess = float(np.clip(excess, zeta(2, most / 2), zeta(2, least / 2)))
+    prior_df = brentq(lambda d: float(zeta(2, d / 2)) - excess, least / 2, 2 * most)
     mean = float(own @ variance) / (float(own.sum()) - 2.0)
     return np.asarray((own * variance + (prior_df - 2.0) * mean) / (own + prior_df - 2.0))
 

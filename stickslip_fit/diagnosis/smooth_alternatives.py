@@ -382,8 +382,10 @@ class _Builder:
             signed = np.zeros_like(effects.whitened)
             signed[subset] = own
             own, subset = self.project(signed), slice(None)
-        shared = self.shared_basis[subset].T @ own
-        products = own.T @ own - shared.T @ shared
+        products = own.T @ own
+        if self.shared_basis.shape[1]:
+            shared = self.shared_basis[subset].T @ own
+            products -= shared.T @ shared
         variance, right = (products[0], np.ones((1, 1))) if len(products) == 1 else np.linalg.eigh(products)
         total = float(variance.sum())
         if total < max(EFFECT_TOL**2, MIN_SHARE * before):

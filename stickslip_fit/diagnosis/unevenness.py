@@ -24,7 +24,7 @@ from scipy.sparse import csr_array
 from scipy.special import poch
 
 from stickslip_fit._rows import unique_rows
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.proposed import POSITION
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.smooth_alternatives import find_carriers, traverse_average
@@ -163,9 +163,14 @@ class Residuals:
         n = len(self)
         return csr_array((np.ones(n), (self.block, np.arange(n))), shape=(int(self.block.max()) + 1, n))
 
+    @cached_property
+    def _drives(self) -> list[BoolArray]:
+        """The rows of each drive."""
+        return [self.drive == number for number in np.unique(self.drive)]
+
     def _drive_sd(self, values: Array, free: Array) -> Array:
         size, sd = np.abs(values), np.ones(len(values))
-        for own in (self.drive == number for number in np.unique(self.drive)):
+        for own in self._drives:
             most = MAX_MEDIANS * weighted_median(size[own], free[own])
             sd[own] = np.sqrt(np.average(np.minimum(size[own], most) ** 2, weights=free[own])) or 1.0
         return sd
@@ -429,8 +434,11 @@ def _largest_gain(log: Array, grouping: Grouping) -> float:
 
 def _reach(log: Array, steps: int) -> Array:
     """Log likelihood of all groups, each at its best in a window of so many steps, shape (D, windows)."""
-    windows = np.lib.stride_tricks.sliding_window_view(log, steps + 1, axis=2)
-    return np.asarray(windows.max(axis=3).sum(axis=1))
+    n_windows = log.shape[2] - steps
+    highest = log[:, :, :n_windows].copy()
+    for first in range(1, steps + 1):
+        np.maximum(highest, log[:, :, first : first + n_windows], out=highest)
+    return np.asarray(highest.sum(axis=1))
 
 
 def _fit_sds(log: Array, grouping: Grouping) -> _SdFit:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -211,7 +212,7 @@ class JointProblem(Problem):
     rounding: Array
     noise_ratio: Array
 
-    @property
+    @cached_property
     def directions(self) -> npt.NDArray[np.object_]:
         """Direction of each group, shape (g,)."""
         return self.groups.table["direction"].to_numpy(dtype=object)

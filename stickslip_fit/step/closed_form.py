@@ -128,11 +128,13 @@ def relative_step(ratio: npt.ArrayLike, share: npt.ArrayLike) -> RelativeStep:
     ratio, held = np.asarray(ratio, dtype=float), np.asarray(share, dtype=float)
     held = np.where(np.abs(held) < 1, held, np.nan)
     with np.errstate(invalid="ignore"):
-        is_limited, slowed = ratio > 1 - held, ratio / (1 - held**2)
+        rest, squared, more = 1 - held, held**2, 1 + held
+        is_limited, slowed = ratio > rest, ratio / (1 - squared)
+        lost = slowed * held
         return RelativeStep(
-            relative_size(ratio, held),
-            np.where(is_limited, 0 * held, 1 - 2 * slowed * held),
-            np.where(is_limited, -2 / (1 + held) ** 2, -(slowed**2) * (1 + held**2)),
+            np.where(is_limited, rest / more, ratio * (1 - lost)),
+            np.where(is_limited, 0 * held, 1 - 2 * lost),
+            np.where(is_limited, -2 / more**2, -(slowed**2) * (1 + squared)),
         )
 
 
@@ -147,8 +149,9 @@ def relative_size(ratio: npt.ArrayLike, share: npt.ArrayLike) -> Array:
     ratio, held = np.asarray(ratio, dtype=float), np.asarray(share, dtype=float)
     held = np.where(np.abs(held) < 1, held, np.nan)
     with np.errstate(invalid="ignore"):
-        limited, free = (1 - held) / (1 + held), ratio * (1 - ratio / (1 - held**2) * held)
-        return np.where(ratio > 1 - held, limited, free)
+        rest = 1 - held
+        limited, free = rest / (1 + held), ratio * (1 - ratio / (1 - held**2) * held)
+        return np.where(ratio > rest, limited, free)
 
 
 def step_size(

@@ -93,6 +93,7 @@ def law(s: SimpleNamespace, u: float, recoil: float) -> float:
     return zero + per_m * reach + (d_zero + d_per_m * reach) * u
 
 
+PANELS = 20  # the same counts as with 60, to rounding
 Angles = Callable[..., dict[str, float]]
 Number = Callable[..., float]
 
@@ -121,21 +122,27 @@ def steps(row: dict[str, Any], acting: list[tuple[Effect, tuple[float, ...]]]) -
     def stage(name: str) -> list[tuple[Any, tuple[float, ...]]]:
         return [(getattr(effect, name), p) for effect, p in acting if getattr(effect, name)]
 
+    names = ("angles", "load", "recoil", "term", "factor")
+    angles, loads, recoils, terms, factors = map(stage, names)
+    own = f"q{row['joint']}"
+
     def rate(q: float) -> float:
-        s = SimpleNamespace(**vars(known) | {"q": q, f"q{row['joint']}": q})
-        for change, p in stage("angles"):
+        s = SimpleNamespace(**vars(known))
+        s.q = q
+        setattr(s, own, q)
+        for change, p in angles:
             vars(s).update(change(s, *p))
         s.u, s.recoil = load(s), abs(cos(s.q2))
-        for change, p in stage("load"):
+        for change, p in loads:
             s.u = change(s, *p)
-        for change, p in stage("recoil"):
+        for change, p in recoils:
             s.recoil = change(s, *p)
         s.free, s.unloaded = law(s, 0.0, 0.0), law(s, 0.0, s.recoil)
-        gamma = law(s, s.u, s.recoil) + sum(term(s, *p) for term, p in stage("term"))
-        for factor, p in stage("factor"):
+        gamma = law(s, s.u, s.recoil) + sum(term(s, *p) for term, p in terms)
+        for factor, p in factors:
             gamma *= factor(s, *p)
         return 1 / gamma
 
-    seams = [row["start"] + (row["stop"] - row["start"]) * k / 60 for k in range(61)]
+    seams = [row["start"] + (row["stop"] - row["start"]) * k / PANELS for k in range(PANELS + 1)]
     whole = abs(sum(quad(rate, *panel, epsabs=0, epsrel=1e-12)[0] for panel in pairwise(seams)))
     return whole + sum(count(known, *p) for count, p in stage("count"))

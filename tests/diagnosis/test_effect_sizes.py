@@ -8,7 +8,6 @@ from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.effect_size import size_findings
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
-from tests.hidden.study import Case, make
 
 WARM_UP, HIDDEN = "thermal-warm-up", "unknown:product"
 
@@ -67,7 +66,7 @@ def test_what_the_choice_of_a_law_leaves_open_adds_to_errors_alone(both):
 
 def test_a_spot_narrower_than_can_be_told_has_the_size_that_it_has():
     """Its width and depth are known as a product alone, and its effect is known all the same."""
-    hidden = make(Case("single", "many", "gaussian", 12.0, 270059))
+    hidden = hide("many", ("worn-spot",), 12.0, seed=0)
     log = read_hidden(hidden, (3,))  # which has the spot
     (finding,) = diagnose(log, gain=False).findings
     (effect,) = hidden.truth["effects"]

@@ -16,6 +16,8 @@ import numpy as np
 
 from tests.hidden.physics import Array
 
+TINY = 1e-12
+
 
 def coulomb_step(friction: Array, pull: Array, throw: Array, ramp: Array, flyback: Array) -> Array:
     """How far a step goes; NaN where friction does not hold the load."""
@@ -79,6 +81,8 @@ def lugre_step(
     stiffness = friction / bend
     damping = 2 * bristles.damping * np.sqrt(stiffness)
     drive = throw / ramp
+    fall, rise = -1 / (bristles.stribeck * drive) ** 2, (bristles.static - 1) * bend
+    viscous = bristles.viscous * friction / drive
     # Slider, speed and deflection at rest under the load.
     place, speed, z = np.zeros(len(throw)), np.zeros(len(throw)), pull / stiffness
     settling = 3 * ramp * np.maximum(1.0, drive / friction / ramp).clip(max=2) + 30 / damping
@@ -93,17 +97,13 @@ def lugre_step(
             dt = lasts / cuts
             for _ in range(cuts):
                 v = foot - speed
-                share = v / drive
-                near = np.exp(-((share / bristles.stribeck) ** 2))
-                sliding = bend * (1 + (bristles.static - 1) * near)
-                rate = np.abs(v) * dt / sliding
-                fade = np.exp(-rate)
-                aim = np.sign(v) * sliding
-                new = aim + (z - aim) * fade
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    mean = np.where(rate > 1e-9, aim + (z - aim) * (1 - fade) / rate, z + v * dt / 2)
-                push = stiffness * mean + bristles.viscous * friction * share - pull
-                faster = speed + push * dt + damping * near * (new - z)
-                place = place + (speed + faster) / 2 * dt
-                speed, z = faster, new
+                near = np.exp(fall * v * v)
+                sliding = bend + rise * near
+                rate = np.abs(v) * dt / sliding + TINY  # at rest, too, the mean is z
+                aim = np.copysign(sliding, v)
+                change = (z - aim) * np.expm1(-rate)
+                push = stiffness * (aim - change / rate) + viscous * v - pull
+                faster = speed + push * dt + damping * near * change
+                place = place + (speed + faster) * (dt / 2)
+                speed, z = faster, z + change
     return (place - first).reshape(shape)

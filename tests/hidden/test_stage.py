@@ -27,12 +27,12 @@ def test_without_load_a_slider_that_catches_up_goes_as_far_as_the_foot():
 def test_momentum_is_what_friction_and_load_gave():
     """Solved again in small times, with friction's sign alone: slow flyback, loads of both signs."""
     for pull in (-PULL, PULL):
-        lasts, place, speed = np.array([RAMP, 2.0 * RAMP, 6 * RAMP]), 0.0, 0.0
-        foot = np.array([throw(1.2) / RAMP, -throw(1.2) / (2 * RAMP), 0.0])
+        lasts, place, speed = (RAMP, 2.0 * RAMP, 6 * RAMP), 0.0, 0.0
+        foot = (throw(1.2) / RAMP, -throw(1.2) / (2 * RAMP), 0.0)
         dt = RAMP / 40_000
         for duration, moving in zip(lasts, foot, strict=True):
             for _ in range(round(duration / dt)):
-                faster = speed + (np.sign(moving - speed) * FRICTION - pull) * dt
+                faster = speed + ((FRICTION if moving > speed else -FRICTION) - pull) * dt
                 if (moving - speed) * (moving - faster) <= 0:
                     faster = moving
                 place, speed = place + (speed + faster) / 2 * dt, faster
