@@ -16,7 +16,8 @@ import pandas as pd
 from scipy.optimize import least_squares as scipy_least_squares
 from scipy.optimize import leastsq
 
-from stickslip_fit.estimation._optimize import group_rows, minimize
+from stickslip_fit.estimation._groups import group_rows
+from stickslip_fit.estimation._optimize import minimize
 from stickslip_fit.laws import Prismatic
 
 SESSIONS = 1000

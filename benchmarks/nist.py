@@ -14,7 +14,8 @@ import pandas as pd
 from scipy.optimize import least_squares
 
 from benchmarks.nist_problems import FILES, Problem, digits, read
-from stickslip_fit.estimation._optimize import Groups, minimize
+from stickslip_fit.estimation._groups import Groups
+from stickslip_fit.estimation._optimize import minimize
 
 
 def ours(problem: Problem, begin: np.ndarray) -> tuple[np.ndarray, bool]:

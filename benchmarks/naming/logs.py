@@ -10,7 +10,7 @@ import pandas as pd
 from benchmarks.naming.columns import candidates
 from benchmarks.naming.problem import Array, Problem
 from stickslip_fit.estimation import fit_least_squares
-from stickslip_fit.estimation._optimize import usable_rows
+from stickslip_fit.estimation._groups import usable_rows
 from stickslip_fit.logs import Log, read_log
 from tests.hidden.catalogue import OUTSIDE
 from tests.hidden.generate import Hidden, hide

@@ -18,7 +18,8 @@ from scipy.special import gammaln
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.bayes.priors import GroupData, Prior
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation._optimize import Groups, minimize
+from stickslip_fit.estimation._groups import Groups
+from stickslip_fit.estimation._optimize import minimize
 
 LogDensity = Callable[[Array], Array]
 """Points, shape (..., k, d), to log densities, (..., k); all at once, since one costs as much as many."""

@@ -18,13 +18,8 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.bayes.priors import PRIOR_REPEATABILITY, PRIOR_SPREAD, PRIOR_WIDTH
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation._optimize import (
-    Groups,
-    group_rows,
-    mean_step_sizes,
-    minimize,
-    normal_equations,
-)
+from stickslip_fit.estimation._groups import Groups, group_rows, mean_step_sizes
+from stickslip_fit.estimation._optimize import minimize, normal_equations
 from stickslip_fit.laws import StepLaw
 
 EXPANSIONS = 3  # about each session's parameters; more change next to nothing

@@ -23,7 +23,7 @@ from stickslip_fit._summary import Table, numbers, words
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation._optimize import Groups, group_rows, usable_rows
+from stickslip_fit.estimation._groups import Groups, group_rows, usable_rows
 from stickslip_fit.laws import Laws, Rows, StepLaw, choose_laws, traverse_length
 from stickslip_fit.laws.base import Model
 from stickslip_fit.logs import Log

@@ -15,7 +15,7 @@ from stickslip_fit.bayes.marginal import PosteriorDraws
 from stickslip_fit.bayes.sampler import K_HAT_LIMIT, PosteriorSample
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.estimation import Flag, JointFit, NoiseLevel, Result
-from stickslip_fit.estimation._optimize import group_rows
+from stickslip_fit.estimation._groups import group_rows
 from stickslip_fit.estimation.identifiability import (
     configuration_rows,
     describe_configuration,

@@ -25,7 +25,7 @@ from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.changes.difference import Difference, SessionEstimates, compare_means
 from stickslip_fit.errors import InputError, check_rate
 from stickslip_fit.estimation import Flag, Result, fit_least_squares
-from stickslip_fit.estimation._optimize import usable_rows
+from stickslip_fit.estimation._groups import usable_rows
 from stickslip_fit.estimation.identifiability import configuration_rows
 from stickslip_fit.estimation.result import Provenance
 from stickslip_fit.estimation.reweighting import OUTLIER, PATTERN

@@ -31,7 +31,8 @@ from stickslip_fit.diagnosis.linearized import (
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection
-from stickslip_fit.estimation._optimize import Groups, group_rows, minimize
+from stickslip_fit.estimation._groups import Groups, group_rows
+from stickslip_fit.estimation._optimize import minimize
 from stickslip_fit.estimation.closed_form import pick_calibration
 from stickslip_fit.logs.history import DEPARTURES, follow_departures
 from stickslip_fit.machine import Machine

@@ -23,7 +23,7 @@ from scipy.sparse.linalg import splu
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.estimation._block_arrow import share_with_all, shared_covariance, solve_block_arrow
-from stickslip_fit.estimation._optimize import Groups
+from stickslip_fit.estimation._groups import Groups
 
 RowChanges = tuple[IntArray, Array]
 RANK_TOL = 1e-6  # singular values of a block's Jacobian, relative to the largest

@@ -34,7 +34,7 @@ from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import StructureRemoved
 from stickslip_fit.diagnosis.noise import MIN_SD, NoiseEstimate, estimate_noise
 from stickslip_fit.diagnosis.noise_shape import Quantization, Skewness, find_count_spacing
-from stickslip_fit.estimation._optimize import usable_rows
+from stickslip_fit.estimation._groups import usable_rows
 from stickslip_fit.estimation.drive_ratio import ratio_changes
 from stickslip_fit.estimation.least_squares import fit_joint
 from stickslip_fit.laws import Laws, choose_laws

@@ -33,7 +33,7 @@ from stickslip_fit.diagnosis.residuals import remove_effects, term_change
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.diagnosis.stage_fingerprint import FREE, SINGLE, Fingerprint, fit_changes
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation._optimize import usable_rows
+from stickslip_fit.estimation._groups import usable_rows
 from stickslip_fit.estimation.drive_ratio import prior_shares
 from stickslip_fit.laws import Laws, StepLaw, choose_laws, describe_law, state_at
 from stickslip_fit.laws.physical import Physical

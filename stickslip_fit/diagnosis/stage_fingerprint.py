@@ -15,7 +15,7 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.linearized import RANK_TOL
-from stickslip_fit.estimation._optimize import group_rows
+from stickslip_fit.estimation._groups import group_rows
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, JointProblem, single_problem
 from stickslip_fit.estimation.drive_ratio import RATIOS, laws_by_width, stack_ratios, start_at
 from stickslip_fit.laws import FRICTION_LIMITED

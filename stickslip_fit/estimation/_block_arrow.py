@@ -16,9 +16,9 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.estimation._groups import Groups
 from stickslip_fit.estimation._optimize import (
     RANK_TOL,
-    Groups,
     Minimum,
     NormalEquations,
     Objective,

@@ -11,102 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.errors import InputError
-from stickslip_fit.laws import traverse_length
+from stickslip_fit.estimation._groups import Groups
 from stickslip_fit.laws.base import Model
-from stickslip_fit.logs import Log
-
-
-@dataclass(frozen=True)
-class Groups:
-    """The groups of one joint's rows.
-
-    Attributes
-    ----------
-    table : DataFrame
-        Columns session and direction, one row per group, in order of time.
-    of_row : array of int, shape (n,)
-        Group of each row.
-    """
-
-    table: pd.DataFrame
-    of_row: IntArray
-
-    def __len__(self) -> int:
-        return self._number
-
-    @cached_property
-    def _number(self) -> int:
-        return len(self.table)  # of a table it takes long, and every sum asks for it
-
-    @cached_property
-    def sizes(self) -> IntArray:
-        """Rows in each group, shape (g,)."""
-        return np.bincount(self.of_row, minlength=len(self))
-
-    @cached_property
-    def rows(self) -> list[IntArray]:
-        """The rows of each group."""
-        order = np.argsort(self.of_row, kind="stable")
-        return np.split(order, np.cumsum(self.sizes)[:-1])
-
-    def sums(self, values: Array) -> Array:
-        """Sum over each group's rows, shape (n,) -> (g,).
-
-        Examples
-        --------
-        >>> rows = pd.DataFrame({"session": ["a", "a", "b"], "direction": ["+", "+", "-"]})
-        >>> group_rows(rows).sums(np.array([1.0, 2.0, 4.0]))
-        array([3., 4.])
-        """
-        return np.bincount(self.of_row, values, len(self))
-
-    def select(self, some: BoolArray) -> Groups:
-        """Some of the groups, with nothing but their rows."""
-        number = np.cumsum(some) - 1
-        return Groups(self.table[some].reset_index(drop=True), number[self.of_row[some[self.of_row]]])
-
-
-def group_rows(rows: pd.DataFrame) -> Groups:
-    """Group rows, which stand in order of time, by session and direction."""
-    session, sessions = pd.factorize(rows["session"].astype(object))
-    backwards = (rows["direction"] == "-").to_numpy()
-    kinds, of_row = np.unique(2 * session + backwards, return_inverse=True)
-    table = pd.DataFrame(
-        {
-            "session": np.asarray(sessions, dtype=object)[kinds // 2],
-            "direction": np.where(kinds % 2 == 1, "-", "+").astype(object),
-        }
-    )
-    return Groups(table, of_row)
-
-
-def mean_step_sizes(groups: Groups, rows: pd.DataFrame, response: Array) -> Array:
-    """Geometric mean of each group's step sizes, shape (g,); `response` is log(steps), shape (n,)."""
-    return np.exp(groups.sums(np.log(traverse_length(rows)) - response) / groups.sizes)
-
-
-def usable_rows(log: Log) -> pd.DataFrame:
-    """The traverses of a log that may be fitted.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
-    rows = log.usable
-    if rows.empty:
-        raise InputError("the log has no usable traverse: every row is interrupted or excluded")
-    return rows
-
 
 # Summing J' J squares the condition number; beyond this ratio of eigenvalues too few digits are left, and the
 # group's own Jacobian is decomposed instead.
@@ -479,7 +391,11 @@ class Objective:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Greatest `lengths` so far, `last_size` of an undamped step, number of steps `refused` in a row."""
+    """State of the search.
+
+    `lengths` are the greatest so far, `last_size` that of the last undamped step; `refused` counts the steps
+    refused in a row, and `factors` are those of the last point where every unit's step was.
+    """
 
     values: Array
     here: NormalEquations
@@ -489,6 +405,7 @@ class _State:
     last_size: Array
     converged: BoolArray
     diverged: BoolArray
+    factors: Factors | None = None
 
     @property
     def active(self) -> BoolArray:
@@ -542,8 +459,10 @@ def _iterate(objective: Objective, state: _State, most: int) -> Minimum:
 def _advance(objective: Objective, state: _State) -> _State:
     values, here, damping, active = state.values, state.here, state.damping, state.active
     lengths = np.maximum(state.lengths, objective.lengths(here))
-    free = here.fix_parameters(objective.active_bounds(here, values), objective.groups)
-    factors = objective.factors(free, lengths)
+    factors = state.factors
+    if factors is None:
+        free = here.fix_parameters(objective.active_bounds(here, values), objective.groups)
+        factors = objective.factors(free, lengths)
     undamped, cost = factors.step(np.zeros(len(damping))), objective.of_unit(here.cost)
     offset = relative_offset(factors, cost, objective.sizes)
     rounding = objective.rounding(here)
@@ -576,6 +495,7 @@ def _advance(objective: Objective, state: _State) -> _State:
         last_size=np.where(near, size, np.inf),
         converged=converged,
         diverged=state.diverged | ((damping >= MAX_DAMPING) & ~converged),
+        factors=None if better.any() else factors,
     )
 
 

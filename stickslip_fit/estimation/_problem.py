@@ -26,14 +26,8 @@ from stickslip_fit.estimation._block_arrow import (
     shared_curvature,
     solve_block_arrow,
 )
-from stickslip_fit.estimation._optimize import (
-    Groups,
-    Minimum,
-    RowSubsetModel,
-    group_rows,
-    mean_step_sizes,
-    minimize,
-)
+from stickslip_fit.estimation._groups import Groups, group_rows, mean_step_sizes
+from stickslip_fit.estimation._optimize import Minimum, RowSubsetModel, minimize
 from stickslip_fit.estimation.noise import GAUSSIAN, GIVEN_DF, Likelihood, NoiseLevel
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.laws.base import Model

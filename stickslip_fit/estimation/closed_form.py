@@ -15,7 +15,8 @@ from scipy.linalg import qr
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation._optimize import RANK_TOL, Groups, group_rows, mean_step_sizes, usable_rows
+from stickslip_fit.estimation._groups import Groups, group_rows, mean_step_sizes, usable_rows
+from stickslip_fit.estimation._optimize import RANK_TOL
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
 from stickslip_fit.estimation.identifiability import (
     configuration_rows,

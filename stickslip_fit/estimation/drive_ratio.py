@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.estimation._optimize import Groups, Minimum, group_rows
+from stickslip_fit.estimation._groups import Groups, group_rows
+from stickslip_fit.estimation._optimize import Minimum
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, JointProblem, Problem, single_problem
 from stickslip_fit.estimation.identifiability import identifiable_parameters
 from stickslip_fit.laws import Rows, StepLaw

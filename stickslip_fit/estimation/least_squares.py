@@ -20,15 +20,8 @@ from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation._optimize import (
-    RANK_TOL,
-    Groups,
-    Minimum,
-    group_rows,
-    mean_step_sizes,
-    minimize,
-    usable_rows,
-)
+from stickslip_fit.estimation._groups import Groups, group_rows, mean_step_sizes, usable_rows
+from stickslip_fit.estimation._optimize import RANK_TOL, Minimum, minimize
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, FitOptions, JointProblem, single_problem
 from stickslip_fit.estimation.identifiability import (
     configuration_rows,

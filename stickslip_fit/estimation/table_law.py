@@ -9,7 +9,8 @@ import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.estimation._block_arrow import share_with_all, solve_block_arrow
-from stickslip_fit.estimation._optimize import Groups, Minimum
+from stickslip_fit.estimation._groups import Groups
+from stickslip_fit.estimation._optimize import Minimum
 
 MAX_SEARCHES = 20  # sessions whose own start is searched
 

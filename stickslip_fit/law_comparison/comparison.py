@@ -19,7 +19,7 @@ from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import JointFit
-from stickslip_fit.estimation._optimize import usable_rows
+from stickslip_fit.estimation._groups import usable_rows
 from stickslip_fit.estimation.drive_ratio import RatioProfile, likeliest_law, profile_ratio
 from stickslip_fit.estimation.least_squares import fit_joint
 from stickslip_fit.estimation.noise import estimate_from_replicates

@@ -25,7 +25,7 @@ from stickslip_fit.diagnosis._unknown_summary import name_findings
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import Result, fit_closed_form, fit_least_squares, held_out_errors
-from stickslip_fit.estimation._optimize import usable_rows
+from stickslip_fit.estimation._groups import usable_rows
 from stickslip_fit.estimation.closed_form import solve_calibration
 from stickslip_fit.estimation.load_coefficient import tabulate_load_coefficients
 from stickslip_fit.estimation.prediction import collect_traverses

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.estimation._optimize import Groups, group_rows, mean_step_sizes
+from stickslip_fit.estimation._groups import Groups, group_rows, mean_step_sizes
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, JointProblem, single_problem
 from stickslip_fit.estimation.closed_form import pick_calibration
 from stickslip_fit.estimation.identifiability import identifiable_parameters

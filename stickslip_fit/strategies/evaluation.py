@@ -16,7 +16,7 @@ import pandas as pd
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation._optimize import usable_rows
+from stickslip_fit.estimation._groups import usable_rows
 from stickslip_fit.estimation.closed_form import solve_calibration
 from stickslip_fit.estimation.result import JointFit
 from stickslip_fit.laws import Laws, StepLaw, choose_laws, expected_steps, traverse_length

@@ -2,7 +2,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.estimation._optimize import group_rows, minimize
+from stickslip_fit.estimation._groups import group_rows
+from stickslip_fit.estimation._optimize import minimize
 
 
 def grouped(n, g):

@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.estimation._optimize import Groups, Minimum, minimize
+from stickslip_fit.estimation._groups import Groups
+from stickslip_fit.estimation._optimize import Minimum, minimize
 from stickslip_fit.estimation.table_law import fit_table_law
 from stickslip_fit.laws import Law
 

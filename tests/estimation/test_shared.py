@@ -6,7 +6,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from stickslip_fit.estimation._block_arrow import share_by_direction, share_with_all, solve_block_arrow
-from stickslip_fit.estimation._optimize import Groups, group_rows
+from stickslip_fit.estimation._groups import Groups, group_rows
 from stickslip_fit.laws import Prismatic
 
 
