@@ -289,14 +289,18 @@ def _root_mean_squares(squares: pd.DataFrame, by: list[str]) -> pd.DataFrame:
 
 
 def hold_out_configurations(selection: Selection) -> list[Split]:
-    """Hold out configurations, keeping the selected causes determined."""
-    linearized, values = selection.problem.linearize(), selection.fit.values
+    """Hold out configurations, keeping the selected causes determined.
+
+    Rows count alike: which configurations seem noisier differs in a replicate, whose folds should be the same.
+    """
+    problem, values = selection.problem, selection.fit.values
+    linearized = replace(problem, noise_ratio=np.ones(len(problem))).linearize()
     changes = [
         compute_changes(linearized, selected.version, values[None, place])
         for selected, place in zip(selection.law_causes, selection.slices, strict=True)
     ]
     effects = linearized.project(linearized.whiten(np.concatenate(changes, axis=1))) if changes else None
-    kinds, rng = number_session_configurations(selection.problem.rows), np.random.default_rng(FOLD_SEED)
+    kinds, rng = number_session_configurations(problem.rows), np.random.default_rng(FOLD_SEED)
     return make_folds(linearized, kinds, rng, effects)
 
 
