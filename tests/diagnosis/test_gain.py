@@ -128,6 +128,14 @@ def test_a_kind_that_no_fold_takes_leaves_the_folds_of_the_others_as_they_are():
     assert np.ptp([len(split.held_out) for split in whole]) <= 3
 
 
+def test_folds_are_the_same_whichever_configurations_seem_noisier(problem):
+    selection = select_causes(problem(hide("many", seed=3)), ALPHA, N_BOOTSTRAP, _rng())
+    own, ratio = selection.problem, _rng().choice([1.0, 1.4], selection.problem.configuration.max() + 1)
+    other = replace(selection, problem=replace(own, noise_ratio=ratio[own.configuration]))
+    for one, again in zip(splits_of(selection), splits_of(other), strict=True):
+        np.testing.assert_array_equal(one.held_out, again.held_out)
+
+
 def test_a_cause_that_is_selected_again_in_another_version_is_fitted_in_that(problem, monkeypatch):
     """It kept the fit of the version before, with as many parameters as that has."""
     own_problem = problem(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
