@@ -291,7 +291,7 @@ def _root_mean_squares(squares: pd.DataFrame, by: list[str]) -> pd.DataFrame:
 def hold_out_configurations(selection: Selection) -> list[Split]:
     """Hold out configurations, keeping the selected causes determined.
 
-    Rows count alike: which configurations seem noisier differs in a replicate, whose folds should be the same.
+    Rows count alike: a replicate, in which other configurations seem noisier, should have the same folds.
     """
     problem, values = selection.problem, selection.fit.values
     linearized = replace(problem, noise_ratio=np.ones(len(problem))).linearize()
