@@ -246,7 +246,11 @@ def _prior_information(selection: Selection, slopes: Array) -> Array:
     """
     prior = 1.0 / selection.fit.prior_sd**2
     lower, upper = _bounds(selection)
-    variance = np.diag(_invert(slopes.T @ slopes + np.diag(prior), SINGULAR_TOL))
+    information = slopes.T @ slopes + np.diag(prior)
+    size = np.sqrt(np.maximum(np.diag(information), MIN_LENGTH))
+    eigenvalue, vector = np.linalg.eigh(information / np.outer(size, size))
+    # Of dependent parameters, too, the rows say next to nothing.
+    variance = vector**2 @ (1.0 / np.maximum(eigenvalue, SINGULAR_TOL)) / size**2
     bounded = UNIFORM_PRECISION / (upper - lower) ** 2
     return np.asarray(np.where(variance * bounded > 1.0, prior + bounded, prior))
 
