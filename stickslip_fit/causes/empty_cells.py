@@ -62,7 +62,7 @@ def leave_out_empty(
     if lost.all():
         raise InputError(f"no row of the table has all of {join_words(needed)}")
     notes += _describe_lost(lost & ~blank, [name for name in needed if (empty[name] & ~blank).any()])
-    return frame[~lost].assign(**{ROW_NUMBER: frame.index[~lost]}), notes
+    return frame[~lost].copy().assign(**{ROW_NUMBER: frame.index[~lost]}), notes
 
 
 def leave_out_gaps(frame: pd.DataFrame, used: Collection[str]) -> tuple[pd.DataFrame, tuple[str, ...]]:

@@ -22,7 +22,6 @@ noise: the poles are drawn in until it does not.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import product
@@ -277,20 +276,20 @@ def estimate_noise(linearized: LinearizedFit, effects: Array, sample: IntArray) 
     linked = int(np.sum(FilterPattern.of(sample, 1).depth))
     border = np.concatenate([linearized.shared_basis, spanning(effects)], axis=1)
     likelihood = RestrictedLikelihood(linearized, border, sample)
-    best, found, n_free = likelihood.criterion(np.zeros(0), 0), np.zeros(0), 0
+    best, found, n_free = likelihood.criteria(np.zeros((1, 0)), 0)[0], np.zeros(0), 0
     start, without_gain = np.zeros(0), 0
     for order in range(1, min(MAX_ORDER, max(linked // ROWS_PER_ORDER, SWING_ORDER)) + 1):
         start = likelihood.maximize(np.append(start, 0.0))
-        value = likelihood.criterion(start, order)
+        (value,) = likelihood.criteria(start[None], order)
         if value < best:
             best, found, n_free, without_gain = value, start, order, 0
         else:
             without_gain += 1
         if without_gain == MAX_WITHOUT_GAIN:
             break
-    if linked >= 2 * ROWS_PER_ORDER:
+    if linked >= 2 * ROWS_PER_ORDER and np.isfinite(best):
         wandering = _fit_wandering(likelihood, best + MAX_BEHIND)
-        if likelihood.criterion(wandering, 2) < best:
+        if likelihood.criteria(wandering[None], 2)[0] < best:
             found, n_free = wandering, 2
     return Autocorrelation(sample, None, predict_from_partials(found) if n_free else found, n_free)
 
@@ -303,9 +302,7 @@ def _fit_wandering(likelihood: RestrictedLikelihood, most: float) -> Array:
     from scipy.optimize import minimize
 
     def criterion(z: Array) -> float:
-        with suppress(np.linalg.LinAlgError):
-            return likelihood.criterion(_wandering_partials(*np.tanh(z)), 2)
-        return np.inf
+        return float(likelihood.criteria(_wandering_partials(*np.tanh(z))[None], 2)[0])
 
     begun = _start_of_wandering()
     criteria = likelihood.criteria(begun, 2)

@@ -459,7 +459,7 @@ def simulate_selection(
     own_length = np.maximum(np.linalg.norm(direction, axis=0), MIN_LENGTH)
     length = np.abs((sums.products[candidates] - along.T @ by_others).T / own_length)
     df = len(training.predicted) - training.known.shape[0] - len(others)
-    evidence = log_likelihood_ratio(length**2 / squares[:, None], df)
+    evidence = log_likelihood_ratio(length**2 / np.maximum(squares, np.finfo(float).tiny)[:, None], df)
     evidence[:, 1:] += rivals.log_bayes_factor + spread
     best = np.argmax(evidence, axis=1)
     detected = np.take_along_axis(length, best[:, None], axis=1)[:, 0] > campaign.thresholds[cause]

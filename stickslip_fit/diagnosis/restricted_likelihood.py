@@ -154,21 +154,18 @@ class RestrictedLikelihood:
         everything = self._sum_products(np.arange(n), (0,))
         self.sums = [_LagSums((), everything)]
 
-    def criterion(self, partial: Array, n_free: int) -> float:
-        """Bayesian information criterion, over -2, for noise of so many parameters."""
-        return self.negative_log(partial) + self._price(n_free)
-
     def criteria(self, partials: Array, n_free: int) -> Array:
-        """The same of several, shape (k, p) -> (k,); infinite where there is no likelihood."""
+        """Bayesian information criterion, over -2, for noise of so many parameters; shape (k, p) -> (k,).
+
+        Infinite where there is no likelihood, as where next to nothing is left to be noise.
+        """
         sums = self._sums_of(partials.shape[1])
         with suppress(np.linalg.LinAlgError):
-            return self._solve(sums, partials, _weights(sums, partials)).value + self._price(n_free)
+            price = 0.5 * n_free * float(np.log(max(self.df, 2)))
+            return self._solve(sums, partials, _weights(sums, partials)).value + price
         if len(partials) == 1:
             return np.full(1, np.inf)
         return np.concatenate([self.criteria(one[None], n_free) for one in partials])
-
-    def _price(self, n_free: int) -> float:
-        return 0.5 * n_free * float(np.log(max(self.df, 2)))
 
     def maximize(self, start: Array) -> Array:
         """Partial autocorrelations of the highest likelihood."""

@@ -193,7 +193,7 @@ def _weigh_components(
         for strength in STRENGTHS:
             signal = strength**2 * one.prior_share
             kept = signal / (1.0 + signal)
-            explained = min(float(kept @ along**2) / total, MAX_EXPLAINED)
+            explained = min(float(kept @ along**2) / max(total, np.finfo(float).tiny), MAX_EXPLAINED)
             log_evidence = -0.5 * float(np.sum(np.log1p(signal))) - 0.5 * linearized.df * np.log1p(-explained)
             log_weight = log_evidence - np.log(number * len(STRENGTHS))
             components.append(_Component(one, kept * along, np.sqrt(kept), float(log_weight)))

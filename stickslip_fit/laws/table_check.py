@@ -130,9 +130,12 @@ def check_identifiable(law: TableLaw, frame: Rows, labels: Sequence[Any] | None,
     ]
     if idle:
         have, them = ("has", "it") if len(idle) == 1 else ("have", "them")
+        found = dict(zip(law.parameter_names, start, strict=True))
+        values = join_words([f"{name} = {found[name]:.3g}" for name in idle])
         raise InputError(
-            f"{join_words(idle)} {have} no effect on any row of this table, under the law {law.name!r}; "
-            f"leave {them} out, or take rows that show {them}"
+            f"{join_words(idle)} {have} no effect on any row of this table, under the law {law.name!r}, near "
+            f"{values}, with which it fits best; leave {them} out, give {them} bounds=, or take rows that "
+            f"show {them}"
         )
     first, second = (_null_space(jacobian, places, law.n_shared) for jacobian in jacobians)
     if len(first) == 0 or len(first) != len(second):

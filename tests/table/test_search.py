@@ -141,6 +141,13 @@ def test_a_law_that_fits_exactly_with_a_cause_ends_the_search():
     assert diagnosis.gain.extended < 1e-6 * diagnosis.gain.baseline
 
 
+def test_a_response_that_is_the_time_itself_has_noise_of_no_likelihood_and_an_answer():
+    rng = np.random.default_rng(1)
+    rows = pd.DataFrame({"x": rng.normal(size=108), "time": np.arange(1.0, 109.0)})
+    diagnosis = ssf.diagnose_table(rows.assign(y=rows["time"]), "y ~ a + b*x", time="time", gain=False)
+    assert 0.0 < diagnosis.p_value <= 1.0
+
+
 def test_a_table_of_mostly_zeros_has_an_answer():
     """A robust fit may run through all zeros, so that its scale is none."""
     rng = np.random.default_rng(1)
