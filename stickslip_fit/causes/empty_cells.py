@@ -62,6 +62,7 @@ def leave_out_empty(
     if lost.all():
         raise InputError(f"no row of the table has all of {join_words(needed)}")
     notes += _describe_lost(lost & ~blank, [name for name in needed if (empty[name] & ~blank).any()])
+    # A copy, as in `prepare_rows`, is one block.
     return frame[~lost].copy().assign(**{ROW_NUMBER: frame.index[~lost]}), notes
 
 

@@ -128,6 +128,7 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
     session = _label_sessions(frame[roles.session]) if roles.session else pd.Series(ONE_SESSION, frame.index)
     order = np.lexsort((np.arange(len(frame)), seconds, pd.factorize(session)[0]))
     own = {"session": session.astype(object), "session_seconds": seconds, "joint": 1}
+    # A copy is one block; to a table of a hundred columns in pieces pandas adds none without a warning.
     rows = frame.copy().assign(**own, **{ROW_NUMBER: frame.index})
     rows = rows.iloc[order].reset_index(drop=True)
     if roles.time == ORDER:

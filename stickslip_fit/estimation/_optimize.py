@@ -394,7 +394,7 @@ class _State:
     """State of the search.
 
     `lengths` are the greatest so far, `last_size` that of the last undamped step; `refused` counts the steps
-    refused in a row, and `factors` are those of the last point where every unit's step was.
+    refused in a row. `factors` are kept while no unit moves, None after that.
     """
 
     values: Array

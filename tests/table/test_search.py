@@ -145,7 +145,8 @@ def test_a_response_that_is_the_time_itself_has_noise_of_no_likelihood_and_an_an
     rng = np.random.default_rng(1)
     rows = pd.DataFrame({"x": rng.normal(size=108), "time": np.arange(1.0, 109.0)})
     diagnosis = ssf.diagnose_table(rows.assign(y=rows["time"]), "y ~ a + b*x", time="time", gain=False)
-    assert 0.0 < diagnosis.p_value <= 1.0
+    assert diagnosis.findings[0].cause == "drift"
+    assert diagnosis.findings[0].effect.estimate == pytest.approx(np.std(rows["time"]), rel=0.05)
 
 
 def test_a_table_of_mostly_zeros_has_an_answer():
