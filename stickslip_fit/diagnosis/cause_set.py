@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri, log_ndtr
 
+from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
 
 CAUSE_SET_LOG_BAYES_FACTOR = 3.0  # nats below the best; the set holds the true cause in 95 of 100 logs
 PRIOR_NULL = 0.5
+# Of sessions if one of two causes is right, below which neither counts as that; squared distance, in units of
+# the noise, below which two fits are the same in a session.
+MAX_INCONSISTENCY_P_VALUE, MIN_DISTANCE = 0.05, 1e-6
 
 
 @dataclass(frozen=True)
@@ -24,11 +30,23 @@ class CauseSet:
         Other causes within `CAUSE_SET_LOG_BAYES_FACTOR` of it.
     probability : dict of str to float
         Of each cause and ``unknown``, if at most one is at work.
+    by_refit : tuple of str
+        The rivals that are as likely by a refit, however different their effects: sessions contradict each
+        other on which of the two is right, or another cause makes up for the difference.
     """
 
     cause: str
     rivals: tuple[str, ...]
     probability: dict[str, float]
+    by_refit: tuple[str, ...] = ()
+
+    def with_rivals(self, rivals: Sequence[str]) -> CauseSet:
+        """The set with more rivals, which a refit shows to be as likely."""
+        return replace(
+            self,
+            rivals=tuple(dict.fromkeys((*self.rivals, *rivals))),
+            by_refit=tuple(dict.fromkeys((*self.by_refit, *rivals))),
+        )
 
 
 def form_cause_set(misfit: Misfit, chosen: str | None = None) -> CauseSet:
@@ -49,7 +67,37 @@ def form_cause_set(misfit: Misfit, chosen: str | None = None) -> CauseSet:
         probability = {cause: p * (cause in (best, *rivals)) for cause, p in probability.items()}
         total = sum(probability.values())
         probability = {cause: p / total if total > 0 else 0.0 for cause, p in probability.items()}
-    return CauseSet(best, rivals, probability)
+    inconsistent = tuple(cause for cause in rivals if cause in misfit.inconsistent)
+    return CauseSet(best, rivals, probability, inconsistent)
+
+
+def limit_evidence(ahead: float, likelier: Array, other: Array, session: IntArray) -> float:
+    """Nats by which one of two fitted causes is likelier, where sessions may show that neither is right.
+
+    If the likelier one is right, the log likelihood ratio of each session has the mean delta^2 / 2 and the
+    variance delta^2, delta being the distance between what the two predict there (D. R. Cox, J. R. Stat. Soc.
+    B 24:406, 1962). Where sessions contradict that, one of the two may still be nearer to the truth. Its odds
+    follow from how much sessions scatter about their share of the ratio, as then does the ratio's standard
+    deviation (Q. H. Vuong, Econometrica 57:307, 1989).
+
+    Parameters
+    ----------
+    ahead : float
+        Log likelihood ratio, both penalised.
+    likelier, other : array, shape (n,)
+        Residuals with either cause in the law, whitened by the same noise.
+    session : array of int, shape (n,)
+    """
+    ratio = np.bincount(session, (other**2 - likelier**2) / 2.0)
+    distance = np.bincount(session, (other - likelier) ** 2)
+    ratio, distance = ratio[distance > MIN_DISTANCE], distance[distance > MIN_DISTANCE]
+    score = float(np.sum((ratio - distance / 2.0) ** 2 / distance))
+    if not len(distance) or score <= chdtri(len(distance), MAX_INCONSISTENCY_P_VALUE):
+        return ahead
+    share = distance / distance.sum()
+    variance = max(float(distance.sum()), float(np.sum((ratio - share * ratio.sum()) ** 2)))
+    z = ahead / np.sqrt(variance)
+    return min(ahead, float(log_ndtr(z) - log_ndtr(-z)))
 
 
 def cause_probabilities(evidence: dict[str, float], null: float = PRIOR_NULL) -> dict[str, float]:

@@ -11,15 +11,16 @@ another cause added to these (`find_exchange`). At the end, causes that the othe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+import pandas as pd
 from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array
-from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR, form_cause_set, limit_evidence
 from stickslip_fit.diagnosis.extension import (
     Extension,
     SelectedCause,
@@ -221,6 +222,22 @@ def _next_cause(
     return left, following, evidence.get(UNKNOWN, -np.inf)
 
 
+@dataclass(frozen=True, eq=False)
+class Exchange:
+    """Rivals of a selected cause that with another cause are as likely as it, or likelier.
+
+    Attributes
+    ----------
+    found : Combination or None
+        A rival and another cause that are to take the place of the selected one.
+    rivals : tuple of str
+        Those that are as likely as the selected one, where nothing else is to be added to it.
+    """
+
+    found: Combination | None = None
+    rivals: tuple[str, ...] = ()
+
+
 def find_exchange(
     problem: DiagnosisProblem,
     selected: Sequence[SelectedCause],
@@ -228,40 +245,55 @@ def find_exchange(
     last: Misfit,
     refits: Refits,
     level: float,
-) -> Combination | None:
-    """A rival of the last selected cause that with another cause is likelier than it, if there is one.
+) -> Exchange:
+    """Compare the last selected cause with each rival that has another cause beside it.
 
     `extension` is the `problem` with all `selected` in its laws, `last` the test of what they leave;
-    `refits` are those before it was selected. The law with a rival B and another cause C has to be
-    likelier than the one with A, and with what would be added to A, by the logarithm of the number of pairs
-    over `level`: a likelihood ratio of K or more has a probability of at most 1 / K if A is the truth (J.
-    Ville, Etude critique de la notion de collectif, 1939).
+    `refits` are those before it was selected. To take its place, the law with a rival B and another cause C
+    has to be likelier than the one with A, and with what would be added to A, by the logarithm of the number
+    of pairs over `level`: a likelihood ratio of K or more has a probability of at most 1 / K if A is the
+    truth (J. Ville, Etude critique de la notion de collectif, 1939). As likely is a law within the margin of
+    a cause set, each of the causes that might be C being equally likely beforehand.
     """
     *others, current = selected
     assert current.misfit is not None
     left_over = max(0.0, max(last.log_evidence_by_cause.values(), default=0.0))
-    margin = float(np.log(max(problem.n_refits * len(last.log_evidence_by_cause), 1) / level))
+    n_causes = max(len(last.log_evidence_by_cause), 1)
+    margin = float(np.log(problem.n_refits * n_causes / level))
     rivals = _close_rivals(current, left_over + margin, problem)
     if not rivals:
-        return None
-    to_beat = penalised_likelihood(*extension[:2]) + left_over + margin
-    best = None
+        return Exchange()
+    own = penalised_likelihood(*extension[:2])
+    to_beat = own + left_over + margin
+    as_likely = own + float(np.log(n_causes)) - CAUSE_SET_LOG_BAYES_FACTOR
+    best, likelihoods = None, dict[str, float]()
     for rival in rivals:
         one = make_selected(current.misfit, form_cause_set(current.misfit, rival), refits.starts)
         extension = refits.extensions.get(rival) or extend_problem(problem, [*others, one])
-        left, second, unknown = _next_cause(extension, [*others, one], [current.cause])
-        if second == UNKNOWN or left.log_evidence_by_cause[second] < max(unknown, PAIR_MIN_LOG_BAYES_FACTOR):
-            continue
-        likely = penalised_likelihood(*extension[:2]) + left.log_evidence_by_cause[second]
-        if problem.autocorrelation is None and likely < to_beat - PAIR_LOG_PENALTY:
-            continue  # where the noise stays, a fit adds little to what the linearized effect says
-        two = make_selected(left, form_cause_set(left, second))
-        if (getattr(two.version, "amplitude", None) or 0.0) > two.version.max_trial_factor:
-            continue  # a function of implausible size that only makes up for the rival
-        trial, fit, _ = extend_problem(problem, [*others, one, two])
-        if (likelihood := penalised_likelihood(trial, fit)) > to_beat:
-            best, to_beat = Combination(one, (second,)), likelihood
-    return best
+        left, _, unknown = _next_cause(extension, [*others, one], [current.cause])
+        for second in _likely_seconds(left, unknown, problem):
+            likely = penalised_likelihood(*extension[:2]) + left.log_evidence_by_cause[second]
+            if problem.autocorrelation is None and likely < to_beat - PAIR_LOG_PENALTY:
+                continue  # where the noise stays, a fit adds little to what the linearized effect says
+            two = make_selected(left, form_cause_set(left, second))
+            if (getattr(two.version, "amplitude", None) or 0.0) > two.version.max_trial_factor:
+                continue  # a function of implausible size that only makes up for the rival
+            likelihood = penalised_likelihood(*extend_problem(problem, [*others, one, two])[:2])
+            likelihoods[rival] = max(likelihood, likelihoods.get(rival, -np.inf))
+            if likelihood > to_beat:
+                best, to_beat = Combination(one, (second,)), likelihood
+    if last.p_value < level:
+        return Exchange(best)
+    return Exchange(best, tuple(rival for rival in likelihoods if likelihoods[rival] > as_likely))
+
+
+def _likely_seconds(misfit: Misfit, unknown: float, problem: DiagnosisProblem) -> list[str]:
+    """Causes to be fitted beside a rival: the likeliest, or a few where the noise depends on them."""
+    evidence = misfit.log_evidence_by_cause
+    least = max(unknown, PAIR_MIN_LOG_BAYES_FACTOR)
+    likely = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] >= least]
+    number = 1 if problem.autocorrelation is None else problem.n_refits
+    return sorted(likely, key=lambda cause: -evidence[cause])[:number]
 
 
 def _close_rivals(current: SelectedCause, ahead: float, problem: DiagnosisProblem) -> list[str]:
@@ -420,6 +452,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
     if not likeliest:
         return Refits(misfit, starts, extensions)
     before, likelihoods = problem.linearize_extended(fit_causes(problem, selected)), dict[str, float]()
+    fits: dict[str, ExtendedFit] = {}
     for cause in likeliest:
         trial = make_selected(misfit, form_cause_set(misfit, cause))
         one = refine_trial(trial, before)
@@ -429,6 +462,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
         except np.linalg.LinAlgError:
             failed.append(cause)
             continue
+        fits[cause] = fit
         left, df = _share_left(misfit, before, after)
         gain = _refit_gain(misfit, cause, left, df)
         shape = misfit.best_hypothesis(cause)
@@ -449,7 +483,33 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
         highest, best = max(evidence[cause] for cause in likelihoods), max(likelihoods.values())
         evidence |= {cause: highest + likelihoods[cause] - best for cause in likelihoods}
     evidence = {cause: value for cause, value in evidence.items() if cause not in failed}
-    return Refits(replace(misfit, log_evidence_by_cause=evidence), starts, extensions, tuple(failed))
+    evidence, inconsistent = _compare_sessions(problem, evidence, fits, extensions)
+    left_over = replace(misfit, log_evidence_by_cause=evidence, inconsistent=inconsistent)
+    return Refits(left_over, starts, extensions, tuple(failed))
+
+
+def _compare_sessions(
+    problem: DiagnosisProblem,
+    evidence: dict[str, float],
+    fits: Mapping[str, ExtendedFit],
+    extensions: Mapping[str, Extension],
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """The evidence of causes by which the likeliest is not ahead if neither is right, and these causes."""
+    if len(fits) < 2:
+        return evidence, ()
+    best = max(fits, key=evidence.__getitem__)
+    if best in extensions:  # in the noise that it leaves
+        problem, fits = extensions[best][0], {cause: extensions[cause][1] for cause in fits}
+    session = pd.factorize(problem.rows["session"].astype(object))[0]
+    residuals = {cause: problem.linearize_extended(fit).residual for cause, fit in fits.items()}
+    ahead = {cause: evidence[best] - evidence[cause] for cause in fits}
+    limited = {
+        cause: limit_evidence(ahead[cause], residuals[best], own, session)
+        for cause, own in residuals.items()
+        if ahead[cause] > 0
+    }
+    inconsistent = tuple(cause for cause in limited if limited[cause] < ahead[cause])
+    return evidence | {cause: evidence[best] - limited[cause] for cause in inconsistent}, inconsistent
 
 
 def refine_trial(one: SelectedCause, before: LinearizedFit) -> SelectedCause:

@@ -79,7 +79,8 @@ def _size_cause(
     rivals = tuple(
         rival
         for rival in selected.cause_set.rivals
-        if not is_distinguishable(misfit.best_hypothesis(selected.cause), misfit, rival, strength)
+        if rival in selected.cause_set.by_refit
+        or not is_distinguishable(misfit.best_hypothesis(selected.cause), misfit, rival, strength)
     )
     parameters = _size_parameters(selected.version, selected.cause, values, covariance[place, place])
     return Finding(

@@ -284,6 +284,8 @@ class Misfit:
         Of the calibration that is projected out; None for residuals of no fit.
     failed : dict of str to (int, int)
         Causes of which trials were left out, with their number and that of all its trials.
+    inconsistent : tuple of str
+        Causes beside which the likeliest one cannot be right, see `cause_set.limit_evidence`.
     """
 
     residual: Array
@@ -295,6 +297,7 @@ class Misfit:
     p_value_factor: float = 1.0
     basis: csr_array | None = None
     failed: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    inconsistent: tuple[str, ...] = ()
 
     def critical_value(self, level: float) -> float:
         """Value of the statistic that noise alone exceeds with probability `level`."""

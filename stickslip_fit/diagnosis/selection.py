@@ -259,13 +259,16 @@ def _select(
             chosen = give_way(chosen, searched)
             if chosen[-1].cause != UNKNOWN:
                 extension, last = settle(extend_problem(problem, chosen), chosen)
-        is_named = chosen[-1].cause != UNKNOWN
-        if is_named and (exchange := find_exchange(problem, chosen, extension, last, refits, level)):
-            trial = [*chosen[:-1], exchange.first]
-            other = refits.extensions.get(exchange.first.cause) or extend_problem(problem, trial)
-            if (other_test := assess(other, trial)).p_value < level:
-                chosen, extension, last = trial, other, other_test
-                combinations.append((exchange.first.cause, *exchange.others))
+        if chosen[-1].cause != UNKNOWN:
+            exchange = find_exchange(problem, chosen, extension, last, refits, level)
+            cause_set = chosen[-1].cause_set.with_rivals(exchange.rivals)
+            chosen = [*chosen[:-1], replace(chosen[-1], cause_set=cause_set)]
+            if exchange.found is not None:
+                trial = [*chosen[:-1], exchange.found.first]
+                other = refits.extensions.get(trial[-1].cause) or extend_problem(problem, trial)
+                if (other_test := assess(other, trial)).p_value < level:
+                    chosen, extension, last = trial, other, other_test
+                    combinations.append((trial[-1].cause, *exchange.found.others))
         selected = chosen
         problem, fit, linearized = extension
         if ends:
