@@ -197,7 +197,8 @@ def _likely_structures(misfit: Misfit, df: int) -> Iterator[tuple[float, Callabl
     for k in places[:MAX_LIKELY_SHAPES]:
         shape = misfit.hypotheses[k]
         if isinstance(shape, AR1):
-            yield float(misfit.log_evidence[k] + weight[k]), shape.whiten
+            assert misfit.basis is not None
+            yield float(misfit.log_evidence[k] + weight[k]), shape.whitener(misfit.basis)
             continue
         directions, signal = shape.directions, FINE_STRENGTHS[:, None] ** 2 * shape.prior_share
         alone = strength_evidence(signal, directions.T @ misfit.residual, misfit.residual, df)

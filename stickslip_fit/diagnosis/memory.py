@@ -10,7 +10,7 @@ orthonormal basis of the calibration and r residuals orthogonal to it, the restr
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,13 +18,14 @@ import numpy as np
 import pandas as pd
 from scipy.sparse import csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.logs.history import DEPARTURES, previous_rows
 
-AR1_COEFFICIENTS = (-0.3, 0.2, 0.35, 0.5, 0.65, 0.8)
+AR1_COEFFICIENTS = (-0.3, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.97)
 # Of one direction on the residual before, which may be as far below as above it.
 LAG_COEFFICIENTS = (-1.5, -0.8, -0.4, 0.4, 0.8, 1.5)
 SHARED_FILL = 0.25  # of the rows, above which a direction of the calibration counts as shared by all
@@ -448,9 +449,26 @@ class AR1:
         carried = np.where(self.before >= 0, self.coefficient, 0.0)
         return np.asarray((carried * residuals[self.before].T).T)
 
-    def whiten(self, columns: Array) -> Array:
-        """Columns without what each row has of the one before, shape (n,) or (n, q)."""
-        return columns - self.shape(columns)
+    def whitener(self, basis: csr_array) -> Callable[[Array], Array]:
+        """What takes from columns, (n,) or (n, q), the memory and then the calibration, basis (n, p).
+
+        Calibrated as if its noise were independent, a log has lost of slow effects what it has not with memory.
+        """
+        n, follows = len(self.before), np.flatnonzero(self.before >= 0)
+        own = np.ones(n)
+        if self.sequences.n_stationary:
+            own[self.before < 0] = np.sqrt(1.0 - self.coefficient**2)
+        entries = np.r_[own, np.full(len(follows), -self.coefficient)]
+        places = np.r_[np.arange(n), follows], np.r_[np.arange(n), self.before[follows]]
+        noise_filter = csr_array((entries, places), shape=(n, n))
+        calibration = csc_array(noise_filter @ basis)
+        solve = splu(csc_array(calibration.T @ calibration)).solve
+
+        def whiten(columns: Array) -> Array:
+            filtered = noise_filter @ columns
+            return np.asarray(filtered - calibration @ solve(calibration.T @ filtered))
+
+        return whiten
 
     def correlate(self, columns: Array) -> Array:
         """Columns whose products are those of (n, q) under stationary memory's correlations, (n, q)."""
