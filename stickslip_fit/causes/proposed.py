@@ -183,13 +183,32 @@ class SmoothTerm(LinearFactor):
 
 
 @dataclass(frozen=True)
-class TravelTerm(SmoothTerm):
-    """gamma times 1 + a smooth function of the position along each joint's own travel.
+class JointTerm(SmoothTerm):
+    """gamma times 1 + a smooth function for each joint.
 
     Attributes
     ----------
     on : tuple of (int, str)
         As of a `SmoothTerm`; functions are shared by the directions of a joint, or by none if `each`.
+    """
+
+    name = "smooth-joint-term"
+    phrase = "steps of each joint follow something smoothly that no cause describes"
+
+    @property
+    def _groups(self) -> tuple[tuple[tuple[int, str], ...], ...]:
+        if self.each:
+            return super()._groups
+        joints = dict.fromkeys(joint for joint, _ in self.on)
+        return tuple(tuple(one for one in self.on if one[0] == joint) for joint in joints)
+
+
+@dataclass(frozen=True)
+class TravelTerm(JointTerm):
+    """gamma times 1 + a smooth function of the position along each joint's own travel.
+
+    Attributes
+    ----------
     travel : tuple of (int, float, float)
         Joint and range of its positions.
     """
@@ -198,13 +217,6 @@ class TravelTerm(SmoothTerm):
 
     name = "smooth-travel-term"
     phrase = "steps follow the position along each joint's travel smoothly as no cause describes"
-
-    @property
-    def _groups(self) -> tuple[tuple[tuple[int, str], ...], ...]:
-        if self.each:
-            return super()._groups
-        joints = dict.fromkeys(joint for joint, _ in self.on)
-        return tuple(tuple(one for one in self.on if one[0] == joint) for joint in joints)
 
     def limits_of(self, joint: int) -> tuple[tuple[float, float], ...]:
         """See `SmoothTerm.limits_of`."""

@@ -17,7 +17,14 @@ from stickslip_fit.causes.environment import Covariate
 from stickslip_fit.causes.formula import FormulaCause, restore_formula_cause
 from stickslip_fit.causes.formula_step import STEP_CAUSES, FormulaStepCause
 from stickslip_fit.causes.parameters import CauseParameter
-from stickslip_fit.causes.proposed import CarryOverTerm, PeriodicTerm, ProposedTerm, SmoothTerm, TravelTerm
+from stickslip_fit.causes.proposed import (
+    CarryOverTerm,
+    JointTerm,
+    PeriodicTerm,
+    ProposedTerm,
+    SmoothTerm,
+    TravelTerm,
+)
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Laws, StepLaw, UnknownLawError, describe_law, restore_law
 from stickslip_fit.logs.history import DEPARTURES, FURTHER_HISTORY
@@ -32,7 +39,7 @@ HISTORY_COLUMNS = {
 }
 ENTRY_POINT = "stickslip_fit.causes"
 PROPOSED: dict[str, Callable[..., Cause]] = {
-    kind.name: kind for kind in (SmoothTerm, TravelTerm, PeriodicTerm, ProposedTerm, CarryOverTerm)
+    kind.name: kind for kind in (SmoothTerm, JointTerm, TravelTerm, PeriodicTerm, ProposedTerm, CarryOverTerm)
 }
 
 

@@ -452,7 +452,7 @@ class AR1:
     def whitener(self, basis: csr_array) -> Callable[[Array], Array]:
         """What takes from columns, (n,) or (n, q), the memory and then the calibration, basis (n, p).
 
-        Calibrated as if its noise were independent, a log has lost of slow effects what it has not with memory.
+        Of the residuals of another calibration, one that knows of the memory would explain a part.
         """
         n, follows = len(self.before), np.flatnonzero(self.before >= 0)
         own = np.ones(n)

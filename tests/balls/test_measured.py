@@ -23,6 +23,9 @@ def test_drag_of_each_ball_is_found_in_all_drops_together(frames):
     )
     first, second = diagnosis.findings
     assert (first.cause, second.cause) == ("linear-drag", "slant")
+    # The golf ball's drops say one drag, those of two whiffle balls the other, as decidedly.
+    assert first.equivalent == ("quadratic-drag",)
+    assert diagnosis.verdict == "cannot tell apart"
     values, _, _ = fit_by_scipy(frames, "linear-drag", slanted=True)
     (slant,) = second.parameters
     assert abs(slant.size.estimate - values["slant"]) < slant.size.high - slant.size.estimate
@@ -33,6 +36,15 @@ def test_drag_of_each_ball_is_found_in_all_drops_together(frames):
     assert min(sizes[f"r[{ball}]"].low for ball in whiffle) > sizes["r[baseball]"].high
     fit = diagnosis.extended_law()
     assert np.sqrt(np.mean(fit.residuals["residual"] ** 2)) < 0.3
+
+
+def test_drag_that_another_with_the_slant_beside_it_explains_as_well_is_not_told_apart(frames):
+    """Of four whiffle balls and the volleyball: alone linear drag is ahead, with the slant quadratic drag."""
+    light = frames[frames["ball"].str.contains("whiffle|volleyball")].reset_index(drop=True)
+    diagnosis = ssf.diagnose_table(
+        light, LAW, session="run", time="seconds", causes=[*drags(by="ball"), SLANT], gain=False
+    )
+    assert {"linear-drag", "quadratic-drag"} <= set(diagnosis.findings[0].cause_set)
 
 
 def test_free_fall_alone_leaves_what_each_drop_has_of_its_own(frames):

@@ -113,3 +113,25 @@ def test_frames_held_out_are_predicted_to_within_the_noise():
     gain = diagnose(filmed(ACCELERATIONS["quadratic-drag"], 5), gain=True).gain
     assert gain.baseline > 20 * NOISE
     assert gain.extended < 2 * NOISE
+
+
+@pytest.mark.parametrize("name", ["quadratic-drag", pytest.param("linear-drag", marks=pytest.mark.nightly)])
+def test_drag_that_is_right_for_every_ball_is_told_from_the_other(name):
+    """Of four balls, filmed at a slant."""
+    rng, rates, balls = np.random.default_rng(5), {"quadratic-drag": 0.01, "linear-drag": 0.1}, []
+    for number in range(1, 5):
+        rate = number * rates[name]
+        acceleration = {
+            "quadratic-drag": lambda v, k=rate: -G - k * v * abs(v),
+            "linear-drag": lambda v, r=rate: -G - r * v,
+        }[name]
+        for drop, released in enumerate(RELEASED):
+            height = fall(*released, acceleration)
+            seen = height - 0.005 * (height - 30.0) ** 2 / 2 + NOISE * rng.standard_normal(NUMBER)
+            one = {"ball": f"ball {number}", "drop": f"{number}, {drop}", "height": seen}
+            balls.append(pd.DataFrame({**one, "seconds": FRAME * np.arange(NUMBER)}))
+    frames = pd.concat(balls, ignore_index=True)
+    diagnosis = ssf.diagnose_table(
+        frames, LAW, session="drop", time="seconds", causes=[*drags(by="ball"), SLANT], gain=False
+    )
+    assert {one.cause: one.equivalent for one in diagnosis.findings} == {name: (), "slant": ()}

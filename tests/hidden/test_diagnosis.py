@@ -105,6 +105,24 @@ def test_what_no_cause_describes_is_called_unknown(effect, design):
 
 
 @pytest.mark.parametrize(
+    ("design", "noise", "seed"),
+    [
+        ("session", "gaussian", 500009),
+        pytest.param("many", "t5", 500005, marks=pytest.mark.nightly),
+        pytest.param("many", "gaussian", 500002, marks=pytest.mark.nightly),
+        pytest.param("session", "t5", 500003, marks=pytest.mark.nightly),
+        pytest.param("session", "t5", 500012, marks=pytest.mark.nightly),
+    ],
+)
+def test_strong_memory_is_unknown_and_nothing_besides(design, noise, seed):
+    """What one traverse carries on to the next, 0.76 to 0.96 of it, looks like whatever changes slowly."""
+    hidden = hide(design, ("unknown:memory",), 25.0, noise, seed=seed)
+    found = score(Case("outside", design, noise, 25.0, seed), hidden)
+    assert found.found == ("unknown",)
+    assert found.inside
+
+
+@pytest.mark.parametrize(
     ("design", "causes", "strength"),
     [
         ("session", ("thermal-warm-up", "end-stop-latency"), 16.0),

@@ -1,0 +1,54 @@
+"""Two causes of which neither is right: how many nats between them are left."""
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from stickslip_fit.diagnosis.cause_set import limit_evidence
+
+N_SESSIONS, ROWS = 12, 20
+SESSION = np.repeat(np.arange(N_SESSIONS), ROWS)
+
+
+def ahead(likelier, other):
+    return float(other @ other - likelier @ likelier) / 2
+
+
+def test_a_cause_that_is_right_keeps_its_evidence():
+    """Sessions contradict it in 5 of 100 logs, however unequal what they can tell."""
+    rng = np.random.default_rng(0)
+    difference = 0.8 * rng.standard_normal(len(SESSION)) * (0.2 + (SESSION == 3))
+    residuals = rng.standard_normal((1000, len(SESSION)))
+    right = [ahead(one, one + difference) for one in residuals]
+    kept = sum(
+        limit_evidence(nats, one, one + difference, SESSION) == nats
+        for nats, one in zip(right, residuals, strict=True)
+    )
+    assert kept >= binom.ppf(1e-4, 1000, 0.95)
+
+
+@pytest.mark.parametrize("lead", [4.0, 6.0])
+def test_where_sessions_are_divided_a_small_lead_says_little(lead):
+    """Half of the sessions are as one of two causes says, half as the other, which is a little ahead."""
+    rng = np.random.default_rng(1)
+    difference = np.full(len(SESSION), 0.8)
+    noise = rng.standard_normal(len(SESSION))
+    likelier = np.where(SESSION % 2, noise, noise - difference)
+    plain = limit_evidence(lead, noise, noise + difference, SESSION)
+    divided = limit_evidence(lead, likelier, likelier + difference, SESSION)
+    assert plain == lead
+    assert divided < 1.0
+
+
+def test_where_sessions_are_divided_a_large_lead_counts():
+    """Nine of twelve sessions are as the first says: it is nearer to the truth, if not by as much as it seems."""
+    rng = np.random.default_rng(2)
+    noise = rng.standard_normal(len(SESSION))
+    likelier = np.where(SESSION < 9, noise, noise - 1.0)
+    nats = ahead(likelier, likelier + 1.0)
+    assert 3.0 < limit_evidence(nats, likelier, likelier + 1.0, SESSION) < nats / 2
+
+
+def test_causes_that_predict_the_same_keep_the_evidence_of_their_priors():
+    residual = np.random.default_rng(3).standard_normal(len(SESSION))
+    assert limit_evidence(4.0, residual, residual, SESSION) == 4.0
