@@ -41,7 +41,7 @@ def test_where_sessions_are_divided_a_small_lead_says_little(lead):
 
 
 def test_where_sessions_are_divided_a_large_lead_counts():
-    """Nine of twelve sessions are as the first says: it is nearer to the truth, if not by as much as it seems."""
+    """Nine of twelve sessions are as the first says: it is nearer to the truth, if by less than it seems."""
     rng = np.random.default_rng(2)
     noise = rng.standard_normal(len(SESSION))
     likelier = np.where(SESSION < 9, noise, noise - 1.0)
