@@ -51,8 +51,8 @@ class Hypothesis:
     n : int
         Number of rows.
     blocks : tuple of (array of int, shape (s,), or slice; array, shape (s, m'))
-        Directions, orthogonal to the calibration, and the rows outside of which they are zero: one block of
-        all rows (a slice), or one for each session.
+        Directions, orthogonal to the calibration but for `shared`, and the rows outside of which they are
+        zero: one block of all rows (a slice), or one for each session.
     prior_share : array, shape (m,)
         Of the directions, block by block; sums to 1.
     length : float
@@ -63,6 +63,9 @@ class Hypothesis:
     sign : array, shape (n,), or None
         1 or -1 in each row, times which the blocks are the directions; None for 1 in all rows. Effects that
         are alike or opposite by direction then have the same blocks.
+    shared : array, shape (n, k), or None
+        Orthonormal basis of the part of the calibration that is still to be projected out of the blocks,
+        which would reach beyond their rows then. Residuals are orthogonal to it.
     """
 
     cause: str
@@ -74,6 +77,7 @@ class Hypothesis:
     length: float
     one_sided: bool = False
     sign: Array | None = None
+    shared: Array | None = None
 
     def apply_sign(self) -> Hypothesis:
         """The same hypothesis with its sign in the blocks."""
@@ -89,7 +93,14 @@ class Hypothesis:
         for rows, block in self.apply_sign().blocks:
             directions[rows, first : first + block.shape[1]] = block
             first += block.shape[1]
-        return directions
+        return directions if self.shared is None else directions - self.shared @ self.shared_overlap
+
+    @property
+    def shared_overlap(self) -> Array:
+        """Inner products of `shared` with the blocks, shape (k, m)."""
+        assert self.shared is not None
+        blocks = self.apply_sign().blocks
+        return np.concatenate([self.shared[rows].T @ block for rows, block in blocks], axis=1)
 
     @property
     def largest_row_share(self) -> float:
@@ -275,6 +286,8 @@ class SessionFit:
         Positions in the session, and the basis of its calibration there.
     shared_basis : array, shape (s, k)
         Basis of what all sessions share.
+    shared : array, shape (n, k), or None
+        The same in the rows of all sessions; None without any.
     scale : array, shape (s,)
     noise_filter : sparse array, shape (s, s), or None
         Both as of the `LinearizedFit`.
@@ -285,6 +298,7 @@ class SessionFit:
     tables: tuple[dict[str, npt.NDArray[Any]], ...]
     blocks: tuple[tuple[IntArray, Array], ...]
     shared_basis: Array
+    shared: Array | None
     scale: Array
     noise_filter: csr_array | None = None
 
@@ -327,6 +341,7 @@ def split_sessions(linearized: LinearizedFit) -> dict[str, SessionFit]:
             tuple(tables[k]),
             tuple(blocks[k]),
             linearized.shared_basis[rows],
+            linearized.shared,
             linearized.scale[rows],
             select_filter(linearized.noise_filter, rows),
         )
@@ -351,6 +366,7 @@ def build_session_hypotheses(
             np.ones(1),
             float(lengths[k]),
             is_one_sided(version, values[k]),
+            shared=session.shared,
         )
         for k in np.flatnonzero(lengths > EFFECT_TOL)
     ]
@@ -396,7 +412,8 @@ def build_per_session_hypotheses(
             for session, own, inside in zip(sessions, directions, kept[k], strict=True)
         )
         share, length = variance[k][kept[k]] / total[k], float(np.sqrt(total[k]))
-        hypotheses.append(Hypothesis(names[k], versions[k], None, n, blocks, share, length))
+        one = Hypothesis(names[k], versions[k], None, n, blocks, share, length, shared=sessions[0].shared)
+        hypotheses.append(one)
     return hypotheses
 
 
@@ -407,9 +424,8 @@ def _couple_sessions(
 
     Session by session, what one loses to a shared parameter would count in the others.
     """
-    shared = np.zeros((n, sessions[0].shared_basis.shape[1]))
-    for session in sessions:
-        shared[session.rows] = session.shared_basis
+    shared = sessions[0].shared
+    assert shared is not None
     projected = [
         session.project(effects[session.rows].reshape(len(session), -1)).reshape(-1, *effects.shape[1:])
         for session in sessions

@@ -142,6 +142,11 @@ class LinearizedFit:
         """The columns of `basis` that all blocks share, shape (n, k)."""
         return self.basis[:, sum(columns.shape[1] for _, columns in self.blocks) :].toarray()
 
+    @property
+    def shared(self) -> Array | None:
+        """The same; None where blocks share nothing."""
+        return self.shared_basis if self.shared_basis.shape[1] else None
+
     @cached_property
     def direction_sign(self) -> Array:
         """1 in rows of traverses in positive direction, -1 in the others, shape (n,)."""

@@ -88,7 +88,19 @@ def _multiply_directions(ones: Sequence[Hypothesis], others: Sequence[Hypothesis
                 continue
             inner = own.directions[:, both] @ other.directions[:, at[both]].T
             products[np.ix_(own.place, other.place)] = inner[np.ix_(own.index, other.index)]
+    shared = next((one.shared for one in (*ones, *others) if one.shared is not None), None)
+    if shared is not None:
+        products -= _overlap(ones, shared.shape[1]).T @ _overlap(others, shared.shape[1])
     return products
+
+
+def _overlap(hypotheses: Sequence[Hypothesis], k: int) -> Array:
+    """Inner products of what the whole calibration shares with all directions, shape (k, directions)."""
+    each = [
+        np.zeros((k, len(one.prior_share))) if one.shared is None else one.shared_overlap
+        for one in hypotheses
+    ]
+    return np.concatenate(each, axis=1)
 
 
 def confusion_rate(strength: float, cosine: float) -> float:

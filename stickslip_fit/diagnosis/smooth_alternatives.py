@@ -406,7 +406,10 @@ class _Builder:
         blocks = tuple((part.rows, part.directions) for part in known)
         length, share = float(np.sqrt(variance.sum())), variance / variance.sum()
         n = len(self.linearized)
-        return Hypothesis(f"unknown:{name}", version, None, n, blocks, share, length, sign=sign)
+        shared = self.linearized.shared
+        return Hypothesis(
+            f"unknown:{name}", version, None, n, blocks, share, length, sign=sign, shared=shared
+        )
 
     def couple(
         self, name: str, version: SmoothTerm, parts: Sequence[_Subspace], sign: Array | None
