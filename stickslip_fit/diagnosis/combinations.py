@@ -495,7 +495,7 @@ def _compare_sessions(
     fits: Mapping[str, ExtendedFit],
     extensions: Mapping[str, Extension],
 ) -> tuple[dict[str, float], tuple[str, ...]]:
-    """The evidence of causes by which the likeliest is not ahead if neither is right, and these causes."""
+    """The evidence of causes, that of rivals limited where these are no less likely, neither being right."""
     if len(fits) < 2:
         return evidence, ()
     best = max(fits, key=evidence.__getitem__)
@@ -509,7 +509,9 @@ def _compare_sessions(
         for cause, own in residuals.items()
         if ahead[cause] > 0
     }
-    inconsistent = tuple(cause for cause in limited if limited[cause] < ahead[cause])
+    inconsistent = tuple(
+        cause for cause in limited if limited[cause] < min(ahead[cause], CAUSE_SET_LOG_BAYES_FACTOR)
+    )
     return evidence | {cause: evidence[best] - limited[cause] for cause in inconsistent}, inconsistent
 
 

@@ -285,7 +285,8 @@ class Misfit:
     failed : dict of str to (int, int)
         Causes of which trials were left out, with their number and that of all its trials.
     inconsistent : tuple of str
-        Causes beside which the likeliest one cannot be right, see `cause_set.limit_evidence`.
+        Causes that are no less likely than the likeliest one, though neither is right, see
+        `cause_set.limit_evidence`.
     """
 
     residual: Array
