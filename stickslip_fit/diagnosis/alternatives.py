@@ -30,9 +30,9 @@ from stickslip_fit.logs.schema import has_times
 from stickslip_fit.units import PRISMATIC
 
 N_WAVES = 6
-MAX_PERIODS = 250
+MAX_PERIODS = 600
 MAX_ELEMENTS = 20_000_000  # of the configuration indicators; larger ones are left out
-MIN_TRAVERSES_PER_PERIOD = 2.5
+MIN_TRAVERSES_PER_PERIOD = 2.0
 
 
 def build_unstructured_alternatives(linearized: LinearizedFit) -> Iterator[Hypothesis | AR1]:
