@@ -188,11 +188,11 @@ class _ArrowFactors:
         form = total[:, :-1, :-1] * seen[:, :, None] * seen[:, None, :]
         return factorize(form, total[:, :-1, -1] * seen, lengths, self.rank_tol)
 
-    @property
+    @cached_property
     def rank(self) -> IntArray:
         return self.sharing.total(self.own.rank.astype(float)).astype(np.intp) + self.border.rank
 
-    @property
+    @cached_property
     def gain(self) -> Array:
         return self.sharing.total(self.own.gain) + self.border.gain
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -101,12 +102,12 @@ class SingularFactors:
     vectors: Array
     projections: Array
 
-    @property
+    @cached_property
     def rank(self) -> IntArray:
         """Directions that are identified, shape (g,)."""
         return np.sum(self.singular_values > 0, axis=1)
 
-    @property
+    @cached_property
     def gain(self) -> Array:
         """By how much an undamped step lowers the quadratic form, shape (g,)."""
         return np.sum(np.where(self.singular_values > 0, self.projections**2, 0.0), axis=1)
