@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -144,6 +145,10 @@ class DiagnosisProblem:
 
     def linearize(self) -> LinearizedFit:
         """The baseline fit, linearized."""
+        return self._linearized
+
+    @cached_property
+    def _linearized(self) -> LinearizedFit:
         return linearize_fit(
             self.rows,
             self.parts,
