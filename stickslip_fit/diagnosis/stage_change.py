@@ -31,7 +31,7 @@ from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import remove_effects, term_change
 from stickslip_fit.diagnosis.selection import Selection
-from stickslip_fit.diagnosis.stage_fingerprint import FREE, SINGLE, Fingerprint, fit_changes
+from stickslip_fit.diagnosis.stage_fingerprint import FREE, MAX_SPREAD, SINGLE, Fingerprint, fit_changes
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._groups import usable_rows
 from stickslip_fit.estimation.drive_ratio import prior_shares
@@ -56,7 +56,6 @@ QUANTITIES = ("friction", "mass", "voltage", "ramp time")
 SAME_TRACE = {"mass": "friction"}  # of which counts cannot tell one from the other
 CREDIBLE = 0.95
 NO_FIT = 0.001  # p-value below which none of the changes suffices
-MAX_SPREAD = 3.0  # variance of residuals over that of the noise; beyond it the physical law does not hold
 PRIOR_SD = 0.15  # of the logarithm of a quantity's change
 SIZES = np.linspace(-0.7, 0.7, 2801)
 

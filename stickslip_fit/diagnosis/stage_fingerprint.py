@@ -33,7 +33,8 @@ REFINEMENTS = 2
 REFITS, FINER = 2, 6  # of the law without the change that fits best, each at ever closer lambdas
 UNLIKELY = 60.0  # deviance beyond the least, in units of the noise, of a lambda that is not looked at
 LARGEST_EXCESS = 6.0  # standard deviations; where the best change leaves more, all lambdas are looked at
-MOST_LEFT = 0.9  # of that, which all lambdas may leave for the law to be refitted once more
+MAX_SPREAD = 3.0  # variance of residuals over that of the noise; beyond it the physical law does not hold
+MOST_LEFT = 0.9  # of the excess; where all lambdas leave more, the law is not refitted once more
 MAX_ITERATIONS = 60  # of the law's own fit
 STEPS = 5  # of Gauss-Newton in the size of a change
 DIFFERENCE = 1e-3
@@ -165,8 +166,8 @@ def fit_changes(
     wide = found
     for _ in range(REFITS):
         wide, effect = traverses.fit_everywhere(effect)
-        if wide.excess > MOST_LEFT * found.excess:
-            break  # the finding's effect is not why they leave so much
+        if wide.spread >= MAX_SPREAD and wide.excess > MOST_LEFT * found.excess:
+            break  # the finding's effect is not why the law does not hold
     return min(found, wide, key=lambda one: one.excess)
 
 
