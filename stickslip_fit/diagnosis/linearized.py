@@ -111,7 +111,7 @@ class LinearizedFit:
         """Whether the laws leave next to nothing of their noise."""
         return len(self) > 0 and float(np.abs(self.residual).max()) < EXACT_TOL
 
-    @property
+    @cached_property
     def leverage(self) -> Array:
         """Leverage of each row on the calibration parameters, shape (n,)."""
         return np.asarray((self.basis**2).sum(axis=1)).ravel()
