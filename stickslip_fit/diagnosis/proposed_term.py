@@ -38,7 +38,7 @@ COMMON_IN_LAW = 0.5  # share of a function of sessions that is the same in all, 
 MEMORY_MARGIN = 3.0  # nats by which an autoregression is likelier, whose noise looks like many a function
 FACTOR_COST = 2.0  # of the squared residuals that a second factor has to explain
 SURFACE_LENGTHS = (1.0, 0.6, 0.4)  # of functions of two carriers, of their ranges
-MANY_HARMONICS = 8  # of a wave with a jump, if likelier
+NUMBERS_OF_HARMONICS = (1, 2, 4, 8)  # of a wave: the likeliest, from a pure one to one with a jump
 N_PERIODS = 21  # between the two neighbours of a period that was tried
 MIN_GAIN_SHARE = 0.95  # of the smooth function's gain, with which a short expression is preferred
 N_NULL_LOGS, NULL_LEVEL = 200, 0.01
@@ -79,7 +79,7 @@ def propose_term(
         return [*others, replace(unknown, version=term.version, start=term.start, tested=linearized)]
     if isinstance(shape.version, PeriodicTerm | PeriodicTableTerm):
         shape = _likeliest(_periods_about(shape.version), shape, linearized, misfit.residual)
-        versions = [shape.version, _with_harmonics(shape.version, MANY_HARMONICS)]
+        versions = [_with_harmonics(shape.version, number) for number in NUMBERS_OF_HARMONICS]
         shape = _likeliest(versions, shape, linearized, misfit.residual)
     elif isinstance(shape.version, SmoothTerm) and len(shape.version.carriers) == 2:
         shape = _likeliest(_as_surfaces(shape.version), shape, linearized, misfit.residual)
