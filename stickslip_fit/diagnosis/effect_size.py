@@ -1,7 +1,8 @@
 """Effect sizes: from selected causes to findings with parameters and 95 % intervals.
 
-The effect of a cause is estimated in the fitted form and in its alternative forms, as rms over all
-rows (`effect_interval`); what unknown structure adds to the law, and what that leaves, in `unknown_size`.
+The effect of a cause is estimated in the fitted form and in its alternative forms, as rms over all rows
+(`effect_interval`), and far above the noise with what these may lack (`lack_of_fit`); what unknown structure
+adds to the law, and what that leaves, in `unknown_size`.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from stickslip_fit.causes.levels import LevelCause
 from stickslip_fit.causes.proposed import CarryOverTerm, PeriodicTerm
 from stickslip_fit.causes.table_terms import PeriodicTableTerm
 from stickslip_fit.diagnosis.effect_interval import (
+    MAX_CONDITIONAL_STRENGTH,
     QUANTILES_95,
+    LawEffect,
     detection_threshold,
     estimate_effect,
     expected_covariance,
@@ -27,12 +30,13 @@ from stickslip_fit.diagnosis.effect_interval import (
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding, joints_of_laws
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, acts_on
+from stickslip_fit.diagnosis.lack_of_fit import LackOfFit
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, predict_departures
 from stickslip_fit.diagnosis.separability import is_distinguishable
-from stickslip_fit.diagnosis.unknown_size import size_unknown
+from stickslip_fit.diagnosis.unknown_size import N_DRAWS, size_unknown
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.units import Z_95, Interval
 
@@ -73,6 +77,8 @@ def _size_cause(
     values = selection.fit.values[place]
     effect = estimate_effect(selection, linearized, selected, place)
     size = effect.interval(detection_threshold(selected, linearized.df, alpha))
+    if effect.strength > MAX_CONDITIONAL_STRENGTH:
+        size = _with_lack(size, effect, selection)
     strength = size.estimate * effect.strength / effect.rms
     misfit = selected.misfit
     assert misfit is not None
@@ -93,6 +99,18 @@ def _size_cause(
         _bound_moment(parameters, selected.version, misfit, selection.problem.rows),
         together_with=selected.together_with,
     )
+
+
+def _with_lack(size: Interval, effect: LawEffect, selection: Selection) -> Interval:
+    """The size of an effect with what its form in the law may lack of it."""
+    problem = selection.problem
+    lack = LackOfFit.of(problem.linearize_extended(selection.fit), effect)
+    if lack is None:
+        return size
+    error = (size.high - size.low) / (2.0 * Z_95)
+    draws = size.estimate + error * np.random.default_rng(0).standard_normal(N_DRAWS)
+    low, middle, high = np.quantile(lack.add_to(np.maximum(draws, 0.0), problem.scale), QUANTILES_95)
+    return Interval(float(middle), float(low), float(high))
 
 
 def _size_parameters(

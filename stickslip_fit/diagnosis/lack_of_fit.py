@@ -1,11 +1,12 @@
 """How much a law may still lack, in no form that the alternatives have: what replicates tell from noise.
 
-A term or smooth function for unknown structure only comes near it. What is left varies between
-configurations, sessions, directions and values of the effect; noise varies within them, too. So the residuals
-have two sums of squares, as in the analysis of variance of a regression with replicates (G. E. P. Box and
-N. R. Draper, Empirical Model-Building and Response Surfaces, 1987, section 3.12). Half of the prior is on a
-law that lacks nothing, half on one that lacks a share of the effect: where a form is wrong, what it misses
-grows with the effect. Where nothing was repeated, as of an effect in time, that is all that is known.
+A term or smooth function for unknown structure only comes near it, and so does a cause whose effect is far
+above the noise and has not quite the form that the law gives it. What is left varies between configurations,
+sessions, directions and values of the effect; noise varies within them, too. So the residuals have two sums
+of squares, as in the analysis of variance of a regression with replicates (G. E. P. Box and N. R. Draper,
+Empirical Model-Building and Response Surfaces, 1987, section 3.12). Half of the prior is on a law that lacks
+nothing, half on one that lacks a share of the effect: where a form is wrong, what it misses grows with the
+effect. Where nothing was repeated, as of an effect in time, that is all that is known.
 """
 
 from __future__ import annotations
@@ -94,6 +95,11 @@ class LackOfFit:
         log_evidence *= (GAUSSIAN_KURTOSIS - 1.0) / (self.kurtosis - 1.0)
         prior = np.append(0.5, np.full(len(SHARES), 0.5 / len(SHARES)))
         return np.asarray(softmax(log_evidence + np.log(prior)))
+
+    def add_to(self, sizes: Array, noise: Array) -> Array:
+        """Draws of an effect's rms with what the law lacks; `noise`, (n,), is the sd of each response."""
+        squares = self.draw_squares(len(sizes), np.random.default_rng(1))
+        return np.asarray(np.sqrt(sizes**2 + squares / len(noise) * np.mean(noise**2)))
 
     def draw_squares(self, number: int, rng: np.random.Generator) -> Array:
         """Draws of the squared norm of what the law lacks, in units of the noise, shape (number,)."""

@@ -93,7 +93,9 @@ def compare_causes(misfit: Misfit, cause: str) -> dict[str, Any]:
 
 def _compare_causes(misfit: Misfit, shape: Array) -> dict[str, Any]:
     """Of structure `shape`, (n,), whitened: the share that each cause explains, and the likeliest cause."""
-    if misfit.basis is not None:  # directions of one session need not be orthogonal to shared parameters
+    if (
+        misfit.basis is not None
+    ):  # of memory it is a prediction from residuals, of which calibration has a part
         shape = shape - misfit.basis @ (misfit.basis.T @ shape)
     squares = float(shape @ shape)
     known = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
@@ -150,8 +152,7 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
         len(shape),
     )
     if law is not None and (lack := LackOfFit.of(linearized, law)):
-        squares = lack.draw_squares(len(sizes), np.random.default_rng(1))
-        sizes = np.sqrt(sizes**2 + squares / len(shape) * rms(problem.scale) ** 2)
+        sizes = lack.add_to(sizes, problem.scale)
     low, middle, high = (float(limit) for limit in np.quantile(sizes, QUANTILES_95))
     error = max((high - low) / (2.0 * Z_95), MIN_LENGTH)
     if middle / error > MAX_CONDITIONAL_STRENGTH:
