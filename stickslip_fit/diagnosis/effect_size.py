@@ -102,15 +102,15 @@ def _size_cause(
 
 
 def _with_lack(size: Interval, effect: LawEffect, selection: Selection) -> Interval:
-    """The size of an effect with what its form in the law may lack of it."""
+    """The size of an effect, its upper end with what its form in the law may lack, which only adds."""
     problem = selection.problem
     lack = LackOfFit.of(problem.linearize_extended(selection.fit), effect)
     if lack is None:
         return size
     error = (size.high - size.low) / (2.0 * Z_95)
     draws = size.estimate + error * np.random.default_rng(0).standard_normal(N_DRAWS)
-    low, middle, high = np.quantile(lack.add_to(np.maximum(draws, 0.0), problem.scale), QUANTILES_95)
-    return Interval(float(middle), float(low), float(high))
+    high = np.quantile(lack.add_to(np.maximum(draws, 0.0), problem.scale), QUANTILES_95[-1])
+    return Interval(size.estimate, size.low, max(size.high, float(high)))
 
 
 def _size_parameters(
