@@ -76,9 +76,9 @@ def limit_evidence(ahead: float, likelier: Array, other: Array, session: IntArra
 
     If the likelier one is right, the log likelihood ratio of each session has the mean delta^2 / 2 and the
     variance delta^2, delta being the distance between what the two predict there (D. R. Cox, J. R. Stat. Soc.
-    B 24:406, 1962). Where sessions contradict that, one of the two may still be nearer to the truth. Its odds
-    follow from how much sessions scatter about their share of the ratio, as then does the ratio's standard
-    deviation (Q. H. Vuong, Econometrica 57:307, 1989).
+    B 24:406, 1962). Where sessions contradict that, one of the two may still be nearer to the truth. The odds
+    of that follow from the ratio over its standard deviation, which sessions tell by their scatter (Q. H.
+    Vuong, Econometrica 57:307, 1989).
 
     Parameters
     ----------
