@@ -235,13 +235,9 @@ def load_log(
     sheet: str | None = None,
 ) -> Log:
     """Read the log that the paths name."""
-    import pandas as pd
-
     from stickslip_fit.logs import read_log
     from stickslip_fit.machine import load_machine
 
-    # Most tables are small: to make one with pyarrow's strings takes several times as long.
-    pd.set_option("mode.string_storage", "python")
     return read_log(paths, machine=load_machine(machine), since=since, until=until, sheet=sheet)
 
 
