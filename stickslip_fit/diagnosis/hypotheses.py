@@ -64,8 +64,7 @@ class Hypothesis:
         1 or -1 in each row, times which the blocks are the directions; None for 1 in all rows. Effects that
         are alike or opposite by direction then have the same blocks.
     shared : array, shape (n, k), or None
-        Orthonormal basis of the part of the calibration that is still to be projected out of the blocks,
-        which would reach beyond their rows then. Residuals are orthogonal to it.
+        Basis of the calibration that is still to be projected out of the blocks, beyond whose rows it reaches.
     """
 
     cause: str
@@ -284,10 +283,8 @@ class SessionFit:
         Columns of each part's rows.
     blocks : tuple of (array of int, shape (m,), array, shape (m, p))
         Positions in the session, and the basis of its calibration there.
-    shared_basis : array, shape (s, k)
-        Basis of what all sessions share.
-    shared : array, shape (n, k), or None
-        The same in the rows of all sessions; None without any.
+    shared_basis, shared : array, shape (s, k), (n, k)
+        Basis of what all sessions share, here and in all rows; the latter None without any.
     scale : array, shape (s,)
     noise_filter : sparse array, shape (s, s), or None
         Both as of the `LinearizedFit`.
