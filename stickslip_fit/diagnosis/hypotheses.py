@@ -64,7 +64,7 @@ class Hypothesis:
         1 or -1 in each row, times which the blocks are the directions; None for 1 in all rows. Effects that
         are alike or opposite by direction then have the same blocks.
     shared : array, shape (n, k), or None
-        Basis of the calibration that is still to be projected out of the blocks, beyond whose rows it reaches.
+        Basis of calibration still to be projected out of the blocks, beyond whose rows it reaches.
     """
 
     cause: str
