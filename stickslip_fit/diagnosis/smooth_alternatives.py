@@ -193,6 +193,7 @@ def _join_profiles(ending: str, profiles: Sequence[Hypothesis]) -> Hypothesis | 
         prior_share=np.concatenate([one.length**2 * one.prior_share for one in profiles])
         / sum(one.length**2 for one in profiles),
         length=float(np.sqrt(sum(one.length**2 for one in profiles))),
+        shared=next((one.shared for one in profiles if one.shared is not None), None),
     )
 
 

@@ -37,6 +37,21 @@ def test_functions_of_each_session_explain_no_more_than_there_is():
         assert np.all(explained <= np.sum(residual**2, axis=0) * (1 + 1e-9))
 
 
+@pytest.mark.parametrize("design", ["session", "thesis", "many"])
+def test_directions_have_length_1_and_none_is_of_the_calibration(design):
+    """Of jumps and functions of sessions, too, beside a cause in the laws, which acts in all sessions."""
+    extended, linearized = extend(hide(design, ("side-load",), 12.0, seed=2), "side-load")
+    candidates = compute_evidence(linearized, extended, ["side-load"]).hypotheses
+    shapes = [one for one in candidates if isinstance(one, Hypothesis)]
+    assert any(one.shared is not None for one in shapes)
+    for one in shapes[::7]:
+        products = one.directions.T @ one.directions
+        assert np.diag(products) == pytest.approx(1.0, abs=1e-6), one.cause
+        assert np.abs(linearized.basis.T @ one.directions).max() < 1e-6, one.cause
+        if len(one.blocks) == 1:
+            assert np.abs(products - np.eye(len(products))).max() < 1e-6, one.cause
+
+
 def test_a_jump_in_one_session_is_no_uneven_noise():
     extended, _ = extend(hide("many", ("psi-offset", "session-jump"), 14.0, "t5", seed=15), "psi-offset")
     assert extended.uneven == ()

@@ -7,7 +7,7 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit.causes import Temperature, extend
-from stickslip_fit.causes.proposed import ProposedTerm, SmoothTerm, TravelTerm
+from stickslip_fit.causes.proposed import JointTerm, ProposedTerm, SmoothTerm, TravelTerm
 from stickslip_fit.causes.registry import describe, restore
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes, build_unstructured_alternatives
@@ -118,7 +118,11 @@ def test_a_law_with_terms_is_saved_and_restored(hidden_logs):
     assert term.formula == "k * sin(q1) * load, joint 3, + only"
     law = extend(extend(Prismatic(), smooth), term)
     travel = TravelTerm(on=((2, "+"), (3, "+")), sessions=("a", "b"), travel=((2, -2.0, 0.5), (3, 0.0, 0.01)))
-    law = extend(law, travel)
+    waves = JointTerm(
+        ("session_seconds",), ((0.0, 9e3),), on=((2, "+"), (3, "+"), (3, "-")), sessions=("a", "b")
+    )
+    assert len(waves.parameters) == 4  # of two joints in two sessions
+    law = extend(extend(law, travel), waves)
     restored = restore(describe(law), machine)
     assert restored.causes == law.causes
 
