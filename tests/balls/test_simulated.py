@@ -115,7 +115,8 @@ def test_frames_held_out_are_predicted_to_within_the_noise():
     assert gain.extended < 2 * NOISE
 
 
-@pytest.mark.parametrize("name", ["quadratic-drag", pytest.param("linear-drag", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", SIZES)
 def test_drag_that_is_right_for_every_ball_is_told_from_the_other(name):
     """Of four balls, filmed at a slant."""
     rng, rates, balls = np.random.default_rng(5), {"quadratic-drag": 0.01, "linear-drag": 0.1}, []
