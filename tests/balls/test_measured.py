@@ -47,6 +47,7 @@ def test_drag_that_another_with_the_slant_beside_it_explains_as_well_is_not_told
     assert {"linear-drag", "quadratic-drag"} <= set(diagnosis.findings[0].cause_set)
 
 
+@pytest.mark.nightly
 def test_free_fall_alone_leaves_what_each_drop_has_of_its_own(frames):
     """Without drag among the candidates, what is left of 22 drops is smooth, and no noise that persists."""
     diagnosis = ssf.diagnose_table(frames, LAW, session="run", time="seconds", gain=False)
