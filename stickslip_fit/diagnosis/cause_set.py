@@ -41,10 +41,13 @@ class CauseSet:
     by_refit: tuple[str, ...] = ()
 
     def with_rivals(self, rivals: Sequence[str]) -> CauseSet:
-        """The set with more rivals, which a refit shows to be as likely."""
+        """The set with more rivals, as likely by a refit, which share the probability."""
+        new = [rival for rival in rivals if rival not in self.rivals]
+        share = self.probability.get(self.cause, 0.0) / (1 + len(new))
         return replace(
             self,
-            rivals=tuple(dict.fromkeys((*self.rivals, *rivals))),
+            rivals=(*self.rivals, *new),
+            probability=self.probability | dict.fromkeys((self.cause, *new), share),
             by_refit=tuple(dict.fromkeys((*self.by_refit, *rivals))),
         )
 

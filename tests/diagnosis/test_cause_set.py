@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from stickslip_fit.diagnosis.cause_set import limit_evidence
+from stickslip_fit.diagnosis.cause_set import CauseSet, limit_evidence
 
 N_SESSIONS, ROWS = 12, 20
 SESSION = np.repeat(np.arange(N_SESSIONS), ROWS)
@@ -52,3 +52,11 @@ def test_where_sessions_are_divided_a_large_lead_counts():
 def test_causes_that_predict_the_same_keep_the_evidence_of_their_priors():
     residual = np.random.default_rng(3).standard_normal(len(SESSION))
     assert limit_evidence(4.0, residual, residual, SESSION) == 4.0
+
+
+def test_rivals_that_are_as_likely_share_the_probability():
+    alone = CauseSet("drift", ("wear",), {"drift": 0.6, "wear": 0.3, "side-load": 0.1})
+    together = alone.with_rivals(["wear", "side-load"])
+    assert together.rivals == ("wear", "side-load")
+    assert together.probability == pytest.approx({"drift": 0.3, "wear": 0.3, "side-load": 0.3})
+    assert alone.with_rivals([]) == alone
