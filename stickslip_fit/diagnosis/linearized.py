@@ -144,7 +144,7 @@ class LinearizedFit:
 
     @property
     def shared(self) -> Array | None:
-        """The same; None where blocks share nothing."""
+        """As `shared_basis`; None where blocks share nothing."""
         return self.shared_basis if self.shared_basis.shape[1] else None
 
     @cached_property

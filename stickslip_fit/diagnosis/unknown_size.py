@@ -93,9 +93,7 @@ def compare_causes(misfit: Misfit, cause: str) -> dict[str, Any]:
 
 def _compare_causes(misfit: Misfit, shape: Array) -> dict[str, Any]:
     """Of structure `shape`, (n,), whitened: the share that each cause explains, and the likeliest cause."""
-    if (
-        misfit.basis is not None
-    ):  # of memory it is a prediction from residuals, of which calibration has a part
+    if misfit.basis is not None:  # calibration would absorb a part of what memory predicts
         shape = shape - misfit.basis @ (misfit.basis.T @ shape)
     squares = float(shape @ shape)
     known = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
