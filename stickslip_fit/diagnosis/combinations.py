@@ -272,8 +272,9 @@ def find_exchange(
         one = make_selected(current.misfit, form_cause_set(current.misfit, rival), refits.starts)
         extension = refits.extensions.get(rival) or extend_problem(problem, [*others, one])
         left, _, unknown = _next_cause(extension, [*others, one], [current.cause])
+        alone = penalised_likelihood(*extension[:2])
         for second in _likely_seconds(left, unknown, problem):
-            likely = penalised_likelihood(*extension[:2]) + left.log_evidence_by_cause[second]
+            likely = alone + left.log_evidence_by_cause[second]
             if problem.autocorrelation is None and likely < to_beat - PAIR_LOG_PENALTY:
                 continue  # where the noise stays, a fit adds little to what the linearized effect says
             two = make_selected(left, form_cause_set(left, second))
