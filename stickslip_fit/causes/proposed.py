@@ -163,10 +163,10 @@ class SmoothTerm(LinearFactor):
             acts = np.stack(
                 [sum(_acts(state, joint, way) for joint, way in group) for group in self._groups], axis=-1
             )[:, :, :, None]
-            functions = (functions[:, :, None, :] * acts).reshape(*functions.shape[:2], -1)
+            functions = _side_by_side(functions[:, :, None, :] * acts)
         if self.sessions:
             names = np.asarray(state.row["session"], dtype=object)[:, None] == np.array(self.sessions, object)
-            own = (names[:, None, :, None] * functions[:, :, None, :]).reshape(*functions.shape[:2], -1)
+            own = _side_by_side(names[:, None, :, None] * functions[:, :, None, :])
             functions = np.concatenate([functions, own], axis=-1) if self.common else own
         return np.asarray(functions)
 
@@ -255,6 +255,12 @@ class PeriodicTerm(SmoothTerm):
         """See `SmoothTerm.waves`: cosine and sine of each harmonic."""
         (clock,) = values
         return [harmonics(clock, self.period, len(self.orders) // 2)]
+
+
+def _side_by_side(functions: Array) -> Array:
+    """Functions of several groups, shape (n, k, g, q) -> (n, k, g q); n may be 0."""
+    n, k, g, q = functions.shape
+    return functions.reshape(n, k, g * q)
 
 
 def _only(group: Sequence[tuple[int, str]]) -> tuple[int | None, str | None]:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from stickslip_fit.causes import SessionJump, extend
+from stickslip_fit.causes import PayloadChange, SessionJump, extend
+from stickslip_fit.causes.proposed import SmoothTerm
 from tests.causes.by_hand import ROWS, SECOND
 from tests.causes.table import CASES, LAWS, MACHINE, NAMED, own_values
 
@@ -44,6 +45,15 @@ def test_a_jump_acts_in_its_own_session_from_its_moment_on():
     late = (rows["session"] == SECOND).to_numpy()
     found = SessionJump(session=SECOND).changes(law, rows, values, moments)
     np.testing.assert_allclose(found, -np.log(1.05) * np.outer(late, [1, 1, 0]), atol=1e-13)
+
+
+def test_a_payload_in_a_session_without_rows_changes_nothing_beside_a_smooth_function():
+    rows = ROWS[(ROWS["joint"] == 2) & (ROWS["session"] != SECOND)]
+    smooth = SmoothTerm(orders=((1,), (2,)), sds=(0.01, 0.01), on=((2, "+"), (2, "-")), each=True)
+    law = extend(LAWS[2], smooth)
+    values = np.concatenate([own_values(rows), np.zeros((len(rows), 4))], axis=1)
+    found = PayloadChange(session=SECOND).changes(law, rows, values, np.array([[0.1, 9000.0]]))
+    np.testing.assert_array_equal(found, np.zeros((len(rows), 1)))
 
 
 @pytest.mark.parametrize(
