@@ -82,13 +82,11 @@ def rough_prior_sds() -> Array:
 
 def wave_products(waves: Sequence[Array], orders: Sequence[Sequence[int]]) -> Array:
     """Products by their orders of the waves of carriers, each shape (..., highest order); shape (..., q)."""
-    return np.stack(
-        [
-            np.prod([wave[..., k - 1] for wave, k in zip(waves, order, strict=True)], axis=0)
-            for order in orders
-        ],
-        axis=-1,
-    )
+    places = np.array(orders) - 1
+    products = waves[0][..., places[:, 0]]
+    for wave, place in zip(waves[1:], places.T[1:], strict=True):
+        products = products * wave[..., place]
+    return np.asarray(products)
 
 
 def harmonics(clock: Array, period: float, number: int) -> Array:

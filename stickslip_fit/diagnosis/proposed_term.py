@@ -28,15 +28,18 @@ from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
     Misfit,
-    batch_hypotheses,
     classify_cause,
     remove_structure,
+    strength_evidence,
 )
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
 COMMON_IN_LAW = 0.5  # share of a function of sessions that is the same in all, in the law
 MEMORY_MARGIN = 3.0  # nats by which an autoregression is likelier, whose noise looks like many a function
 FACTOR_COST = 2.0  # of the squared residuals that a second factor has to explain
+FINE_LENGTHS = (0.04, 0.02)  # of functions of one carrier, of its range
+CLEARLY_LIKELIER = 3.0  # nats, by which another function is likelier than the usual one
+WIDE_STRENGTHS = np.geomspace(4.0, 40_000.0, 25)  # of a law's function
 SURFACE_LENGTHS = (1.0, 0.6, 0.4)  # of functions of two carriers, of their ranges
 NUMBERS_OF_HARMONICS = (1, 2, 4, 8)  # of a wave: the likeliest, from a pure one to one with a jump
 N_PERIODS = 21  # between the two neighbours of a period that was tried
@@ -83,11 +86,10 @@ def propose_term(
         shape = _likeliest(versions, shape, linearized, misfit.residual)
     elif isinstance(shape.version, SmoothTerm) and len(shape.version.carriers) == 2:
         shape = _likeliest(_as_surfaces(shape.version), shape, linearized, misfit.residual)
-    elif isinstance(shape.version, SmoothTerm) and shape.version.sessions and not shape.version.common:
-        # Where a session has no traverse of its own nearby, the others say more than nothing.
-        nested = replace(shape.version, common=COMMON_IN_LAW)
-        shape = _likeliest([nested], shape, linearized, misfit.residual)
-    version = shape.version.with_amplitude(estimate_strength(shape, misfit.residual) / shape.length)
+    elif isinstance(shape.version, SmoothTerm):
+        shape = _likeliest_function(shape, linearized, misfit.residual)
+    strength = _fit_strength(shape, misfit.residual, linearized.df)[1]
+    version = shape.version.with_amplitude(strength / shape.length)
     start = np.array(version.null_values)
     return [*others, replace(unknown, version=version, start=start, tested=linearized)]
 
@@ -113,6 +115,28 @@ def _as_surfaces(term: SmoothTerm) -> Iterable[SmoothTerm]:
         yield replace(term, orders=orders, sds=tuple(size))
 
 
+def _likeliest_function(shape: Hypothesis, linearized: LinearizedFit, residual: Array) -> Hypothesis:
+    """A function of one carrier with the details, and as much in common over sessions, as is likeliest.
+
+    Where a session has no traverse of its own nearby, the others say more than nothing, so that half is in
+    common unless the residuals, shape (n,), clearly say otherwise.
+    """
+    term = shape.version
+    usual = replace(term, common=term.common or COMMON_IN_LAW) if term.sessions else term
+    shape = _likeliest([usual], shape, linearized, residual)
+    others = (finer for one in dict.fromkeys((usual, term)) for finer in (one, *_with_details(one)))
+    best = _likeliest(others, shape, linearized, residual)
+    evidence, usual_evidence = (_fit_strength(one, residual, linearized.df)[0] for one in (best, shape))
+    return best if evidence > usual_evidence + CLEARLY_LIKELIER else shape
+
+
+def _with_details(term: SmoothTerm) -> Iterable[SmoothTerm]:
+    """Functions of one carrier with details that are too fine to be looked for."""
+    for length in FINE_LENGTHS:
+        sds = SMOOTH_SCALE * prior_sds(length)
+        yield replace(term, orders=tuple((k,) for k in range(1, len(sds) + 1)), sds=tuple(map(float, sds)))
+
+
 def _likeliest(
     versions: Iterable[Any], shape: Hypothesis, linearized: LinearizedFit, residual: Array
 ) -> Hypothesis:
@@ -124,8 +148,21 @@ def _likeliest(
         shapes += [one for one in [make_hypothesis(shape.cause, version, None, effects)] if one is not None]
     if not shapes:
         return shape
-    evidence = batch_hypotheses(shapes, linearized.df).log_evidence(residual[:, None])[:, 0]
-    return shapes[int(np.argmax(evidence))]
+    return max(shapes, key=lambda one: _fit_strength(one, residual, linearized.df)[0])
+
+
+def _fit_strength(shape: Hypothesis, residual: Array, df: int) -> tuple[float, float]:
+    """The largest log likelihood ratio of a shape over its strengths, and the strength there.
+
+    The size of the noise is estimated with it: beside a fine function it may be far less than the unit of
+    the whitened residuals.
+    """
+    along, signal = shape.coefficients(residual), WIDE_STRENGTHS[:, None] ** 2 * shape.prior_share
+    evidence = strength_evidence(signal, along, residual, df)
+    best = int(np.argmax(evidence))
+    explained = (signal[best] / (1.0 + signal[best])) @ along**2
+    noise = np.sqrt(max(float(residual @ residual - explained), 0.0) / df)
+    return float(evidence[best]), float(WIDE_STRENGTHS[best] * noise)
 
 
 @dataclass(frozen=True, eq=False)
