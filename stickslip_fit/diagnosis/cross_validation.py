@@ -8,7 +8,7 @@ new day.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -73,6 +73,7 @@ def make_folds(
     rng: np.random.Generator,
     effects: Array | None = None,
     number: int = N_FOLDS,
+    needed: Collection[int] = (),
 ) -> list[Split]:
     """Hold out every configuration once, except those without which a parameter is not determined.
 
@@ -87,6 +88,8 @@ def make_folds(
         Of the selected causes, whitened and projected; these must stay determined, too.
     number : int, optional
         Of folds; folds in which nothing can be held out are left out.
+    needed : collection of int, optional
+        Kinds that are not held out.
     """
     n = len(linearized)
     block, coordinates = number_blocks(linearized.parts, n), _coordinates(linearized)
@@ -96,7 +99,8 @@ def make_folds(
     sums = _KindInformation.of(kinds, block, coordinates, effects)
 
     def try_add(fold: int, rows: IntArray) -> bool:
-        return folds[fold].try_add(sums[int(kinds[rows[0]])])
+        kind = int(kinds[rows[0]])
+        return kind not in needed and folds[fold].try_add(sums[kind])
 
     return deal_kinds(kinds, number, try_add, rng)
 

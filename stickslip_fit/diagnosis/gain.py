@@ -38,7 +38,7 @@ from stickslip_fit.diagnosis.gain_interval import (
     simulate_gain_intervals,
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes
-from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE
+from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, detection_length, log_likelihood_ratio
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, compute_cause_jacobian, select_causes
@@ -46,6 +46,7 @@ from stickslip_fit.logs.log import number_configurations
 from stickslip_fit.machine import Machine
 
 MIN_SQUARE = 1e-300
+CLEAR_DISTANCE = 3.0  # standard errors between two laws, by which rows tell one from the other
 FOLD_SEED = 0  # the same for all logs: folds follow from the design, so that a replicate has the same
 MAX_SERIAL_ROWS = 1000  # above, processes share the splits
 PROGRESS_START, PROGRESS_END = 0.2, 0.95  # shares of a diagnosis's work
@@ -301,7 +302,27 @@ def hold_out_configurations(selection: Selection) -> list[Split]:
     ]
     effects = linearized.project(linearized.whiten(np.concatenate(changes, axis=1))) if changes else None
     kinds, rng = number_session_configurations(problem.rows), np.random.default_rng(FOLD_SEED)
-    return make_folds(linearized, kinds, rng, effects)
+    needed = _locate_changes(selection, linearized, kinds)
+    return make_folds(linearized, kinds, rng, effects, needed=needed)
+
+
+def _locate_changes(selection: Selection, linearized: LinearizedFit, kinds: IntArray) -> IntArray:
+    """The kinds of rows, (n,), each of which alone tells the moment of a change from another one.
+
+    Without the traverse before or after a lasting change, whether it was before or after is anyone's guess.
+    """
+    needed = []
+    for one, place in zip(selection.law_causes, selection.slices, strict=True):
+        values = selection.fit.values[place]
+        others = one.version.finer_trials(linearized.rows, values)
+        if not len(others):
+            continue
+        effects = linearized.whiten(compute_changes(linearized, one.version, np.vstack([values, others])))
+        squares = (effects[:, 1:] - effects[:, :1]) ** 2
+        own = np.stack([np.bincount(kinds, column) for column in squares.T], axis=1)
+        tells, left = own > CLEAR_DISTANCE**2, own.sum(axis=0) - own < CLEAR_DISTANCE**2
+        needed.append(np.flatnonzero(np.any(tells & left, axis=1)))
+    return np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *needed]))
 
 
 def number_session_configurations(rows: pd.DataFrame) -> IntArray:
