@@ -304,8 +304,11 @@ def _find_carrier_values(
     columns, carriers = _select_covariates(rows, subset, machine), getattr(selected.version, "carriers", ())
     if len(carriers) > 1:
         return EFFECT_LABEL, 100 * shape
+    label, values = _own_position(rows, subset, machine)
     if POSITION in carriers or (selected.version is not None and follows_position(selected.version)):
-        return _own_position(rows, subset, machine)
+        return label, values
+    if any(_varies(values[subset & (rows["joint"] == joint).to_numpy()]) for joint in rows["joint"].unique()):
+        columns = {label: values} | columns  # first: a coordinate of one joint is a setting of the others
     own = [find_label(column) for column in getattr(selected.version, "columns", ())]
     begins = tuple(CARRIER_LABELS.get(name, f"{name} (") for name in carriers)
     own += [label for label in columns if begins and label.startswith(begins)]
