@@ -34,11 +34,6 @@ class Interval:
         """All three times a factor."""
         return Interval(self.estimate * factor, self.low * factor, self.high * factor)
 
-    def around(self, estimate: float) -> Interval:
-        """As wide, around another estimate."""
-        shift = estimate - self.estimate
-        return Interval(estimate, self.low + shift, self.high + shift)
-
 
 class TableUnit(str):
     """The unit of a table's column or parameter, any text: numbers in it are shown as they are."""

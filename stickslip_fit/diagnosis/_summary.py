@@ -36,7 +36,7 @@ from stickslip_fit.diagnosis.experiments import find_inseparable_pairs
 from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, Finding, Gain, NextTraverse, TableInfo, shown_size
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
-from stickslip_fit.units import PRISMATIC
+from stickslip_fit.units import PRISMATIC, Interval
 
 MIN_PROBABILITY, MAX_RANKED = 0.015, 10
 MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
@@ -232,9 +232,10 @@ def _gain_tables(diagnosis: Diagnosis, words: Words) -> list[Table]:
 
 def _gain_cells(gain: Gain, words: Words) -> tuple[str, ...]:
     cut = gain.cut.times(words.info.factor)
-    errors = (words.info.factor * error for error in (gain.baseline, gain.extended, gain.noise_floor))
-    # As many decimals as the gain, which is the difference of the first two.
-    before, after, floor = (format_measured(cut.around(error)) for error in errors)
+    errors = [words.info.factor * error for error in (gain.baseline, gain.extended, gain.noise_floor)]
+    # As many decimals as the gain, which is the difference of the first two, and two digits of each.
+    half = min([(cut.high - cut.low) / 2, *(error for error in errors if error > 0)])
+    before, after, floor = (format_measured(Interval(one, one - half, one + half)) for one in errors)
     return before, after, format_measured(cut), format_measured_range(cut), floor
 
 

@@ -218,14 +218,19 @@ def describe_unknown_gain(finding: Finding, diagnosis: Diagnosis) -> str:
     if finding.version is None:
         return ""
     test = describe_test(finding, diagnosis)
-    what = f"what the {'term' if finding.term else 'function'} stands for"
+    what = f"what {describe_stand_in(finding)}"
     if getattr(finding.version, "carriers", ()) == (POSITION,) and getattr(finding.version, "sessions", ()):
-        what = "what makes it differ from session to session"
+        what = f"what makes it differ from session to session{_name_closest(finding)}"
     return (
-        f"{test + ' ' if test else ''}What to do: find out {what}{_name_closest(finding)}, log that as a "
+        f"{test + ' ' if test else ''}What to do: find out {what}, log that as a "
         "column of its own, and diagnose again. Meanwhile the extended law has it; "
         f"{describe_scatter(diagnosis)}."
     )
+
+
+def describe_stand_in(finding: Finding) -> str:
+    """What a proposal is to be replaced by, as a clause: that for which it stands."""
+    return f"the {'term' if finding.term else 'function'} stands for{_name_closest(finding)}"
 
 
 def _name_closest(finding: Finding) -> str:
