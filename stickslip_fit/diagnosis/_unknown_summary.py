@@ -340,7 +340,7 @@ def explains_tables(diagnosis: Diagnosis) -> list[Table]:
         )
         columns = (
             Column("cause", text=True),
-            *numbers("by its equation", "bent", unit="%"),
+            *numbers("by its equation", "bent to fit", unit="%"),
             Column("leaves", f"{unit} rms".strip()),
         )
         note = (

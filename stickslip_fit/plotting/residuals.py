@@ -155,6 +155,7 @@ def fold_phase(carrier: str, rows: pd.DataFrame, shape: Array) -> tuple[str, Arr
 SESSION_GAP = 0.04  # of all hours, between two sessions drawn one after the other
 CONCATENATED_HOURS = "hours, all sessions"
 SESSION_HOURS = "hours in session"
+MAX_PLAIN_STEPS = 1e4
 OWN_STEPS = "own steps so far (millions)"
 LOAD_BEFORE = "previous traverse's load"
 REVERSED = "0: same way, 1: reversed"
@@ -192,7 +193,8 @@ def _compute_covariates(rows: pd.DataFrame, machine: Machine) -> Iterator[tuple[
         unit, values = coordinate_unit(name, machine), rows[name].to_numpy(float)
         values = np.where(joint == int(name[1:]), middle, values) if name.startswith("q") else values
         yield f"{name} ({'°' if unit == 'deg' else unit})", from_si(values, unit)
-    yield "steps (thousands)", rows["steps"].to_numpy(float) / 1e3
+    steps = rows["steps"].to_numpy(float)
+    yield ("steps", steps) if steps.max(initial=0.0) < MAX_PLAIN_STEPS else ("steps (thousands)", steps / 1e3)
     yield LOAD_BEFORE, rows["before_load"].to_numpy(float)
     if has_times(rows):
         yield REVERSED, is_reversed(rows["before_direction"], rows["direction"]).astype(float)
