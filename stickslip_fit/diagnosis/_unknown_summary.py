@@ -202,7 +202,7 @@ def _describe_worth(finding: Finding) -> str:
     if gain.extended >= gain.baseline:
         return f"held-out errors stay at {format_percent(gain.extended)}"
     before, after = format_percent(gain.baseline), format_percent(gain.extended)
-    return f"it lowers the held-out error from {before} to {after}"
+    return f"it lowers the held-out error from {before} to {after}{gain.doubt}"
 
 
 def describe_scatter(diagnosis: Diagnosis) -> str:
@@ -265,8 +265,9 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
             before, after = format_percent(gain.baseline), format_percent(gain.extended)
             worse = "no better" if before == after else f"worse, with errors of {after} in place of {before}"
             return f"It predicts within its session only: a new session is predicted {worse}."
+        does = "may predict" if gain is None or gain.doubt else "predicts"
         return (
-            "What the sessions have in common predicts another session, too; the rest predicts its own only."
+            f"What the sessions have in common {does} another session, too; the rest predicts its own only."
         )
     if getattr(finding.version, "sessions", ()):
         return "Another session will have another one, so that this one predicts within its session only."

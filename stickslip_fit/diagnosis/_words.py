@@ -170,7 +170,7 @@ class Words(ABC):
         """Both errors on held-out rows, as the end of a sentence on the extended law."""
         return (
             f"cuts the prediction error on held-out {self.info.row}s from "
-            f"{self.info.format_size(gain.baseline)} to {self.info.format_size(gain.extended)}"
+            f"{self.info.format_size(gain.baseline)} to {self.info.format_size(gain.extended)}{gain.doubt}"
         )
 
     @property

@@ -81,6 +81,12 @@ class Gain:
         return Interval(self.baseline - self.extended, self.low, self.high)
 
     @property
+    def doubt(self) -> str:
+        """The end of a sentence on both errors where the interval that judges them holds 0; else empty."""
+        is_open = self.low <= 0.0 and not self.given_before
+        return ", though a replicate might gain nothing" if is_open else ""
+
+    @property
     def judged(self) -> tuple[float, float]:
         """The errors, before and after, by which what extends the law is judged.
 

@@ -52,6 +52,10 @@ def test_a_term_is_proposed_with_its_formula_its_size_and_its_gain(proposed):
         "k = 0.80 ± 0.10 %; it lowers the held-out error from 1.9 % to 0.41 %."
     )
     assert "find out what the term stands for" in second
+    in_doubt = with_finding(shown, gain=replace(GAIN, low=-0.001))
+    assert write_headline(in_doubt)[0].endswith(
+        "from 1.9 % to 0.41 %, though a replicate might gain nothing."
+    )
     text = " ".join(str(shown).split())
     assert "Parameters of what was named or proposed" in text
     assert "unknown: proposed term" in text
