@@ -46,7 +46,7 @@ class ThetaOffset(AngleOffset):
         "every setting, and gravity acts along another direction than the law believes."
     )
     shows_best = "traverses on both sides of theta = 0, where the load changes most with theta"
-    sentence = "The base is tilted by {delta:+} about x"
+    sentence = "The base is tilted by {delta:+} about x (to be added to the logged theta)"
     remedy = "mounting the base straight"
     parameters = (CauseParameter("delta", "deg", "tilt of the base plate about x"),)
     angle = "theta"
@@ -63,7 +63,7 @@ class PsiOffset(AngleOffset):
         "the law believes, while recoil, which the arm's own angle decides, is what it was."
     )
     shows_best = "arm level, base level: where the load on joint 3 is 0 and changes most with psi"
-    sentence = "The base is tilted by {delta:+} about y"
+    sentence = "The base is tilted by {delta:+} about y (to be added to the logged psi)"
     remedy = "mounting the base straight"
     parameters = (CauseParameter("delta", "deg", "tilt of the base plate about y"),)
     angle = "psi"
@@ -81,7 +81,7 @@ class Q2Offset(AngleOffset):
         "does not."
     )
     shows_best = "joint 3 with the arm upright and level, in both orientations of the base"
-    sentence = "Joint 2's zero is off by {delta:+}"
+    sentence = "Joint 2's zero is off by {delta:+} (to be added to the logged q2)"
     remedy = "setting joint 2's zero"
     parameters = (CauseParameter("delta", "deg", "error of joint 2's zero"),)
     angle = "q2"

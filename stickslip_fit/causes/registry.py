@@ -178,7 +178,15 @@ def _to_tuples(value: Any) -> Any:
 
 
 def explain_missing(cause: Cause, rows: pd.DataFrame, machine: Machine) -> str | None:
-    """Why a log of a machine cannot show a cause, or None where nothing is missing."""
+    """Why a log of a machine cannot show a cause, or None where nothing is missing.
+
+    Raises
+    ------
+    InputError
+        For a cause's name or class in place of a cause.
+    """
+    if not hasattr(cause, "name") or isinstance(cause, type):
+        raise InputError(f"{cause!r} is no cause; a cause is a value, such as ssf.causes.ThermalWarmUp()")
     if not has_times(rows) and HISTORY_COLUMNS & {*cause.columns}:
         return NO_TIMES
     if cause.kind:

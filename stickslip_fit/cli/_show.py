@@ -28,7 +28,7 @@ Latex = Annotated[
     typer.Option("--latex", metavar="FILE", help="Also save every table here, as LaTeX (booktabs)."),
     Output(),
 ]
-MAX_TITLES = 48  # letters, so that they stand on one line
+MAX_TITLES = 57  # letters, so that they stand on one line
 
 
 @dataclass(frozen=True)

@@ -135,6 +135,7 @@ def _finding_to_json(finding: Finding, percent: _Percent, joints: list[int]) -> 
         content["term"] = finding.term
     if finding.explains:
         content["explains"] = dict(finding.explains)
+        content["explains_by_equation"] = dict(finding.explains_by_equation)
     if finding.closest:
         content["closest"] = {"cause": finding.closest, "share": finding.share, "carrier": finding.carrier}
     return content

@@ -36,7 +36,7 @@ from stickslip_fit.diagnosis.experiments import find_inseparable_pairs
 from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, Finding, Gain, NextTraverse, TableInfo, shown_size
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
-from stickslip_fit.units import PRISMATIC
+from stickslip_fit.units import PRISMATIC, Interval
 
 MIN_PROBABILITY, MAX_RANKED = 0.015, 10
 MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
@@ -232,7 +232,10 @@ def _gain_tables(diagnosis: Diagnosis, words: Words) -> list[Table]:
 
 def _gain_cells(gain: Gain, words: Words) -> tuple[str, ...]:
     cut = gain.cut.times(words.info.factor)
-    before, after, floor = map(words.info.format_number, (gain.baseline, gain.extended, gain.noise_floor))
+    errors = [words.info.factor * error for error in (gain.baseline, gain.extended, gain.noise_floor)]
+    # As many decimals as the gain, which is the difference of the first two, and two digits of each.
+    half = min([(cut.high - cut.low) / 2, *(error for error in errors if error > 0)])
+    before, after, floor = (format_measured(Interval(one, one - half, one + half)) for one in errors)
     return before, after, format_measured(cut), format_measured_range(cut), floor
 
 
@@ -290,12 +293,12 @@ def format_bayes_factor(power: float) -> str:
     Examples
     --------
     >>> [format_bayes_factor(power) for power in (240.7, 1.26, -0.4, -9.0)]
-    ['> 10^6', '18', '0.4', '< 0.01']
+    ['> 1,000,000', '18', '0.4', '< 0.01']
     """
     if not np.isfinite(power):
         return MISSING
     if power > MAX_POWER:
-        return f"> 10^{MAX_POWER}"
+        return f"> {10**MAX_POWER:,}"
     if power < -2:
         return "< 0.01"
     value = 10.0**power

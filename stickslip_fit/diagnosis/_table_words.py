@@ -23,7 +23,7 @@ from stickslip_fit._format import (
 )
 from stickslip_fit.causes.roles import ORDER, ROW_NUMBER
 from stickslip_fit.causes.table_terms import PREDICTION
-from stickslip_fit.diagnosis._unknown_summary import name_findings
+from stickslip_fit.diagnosis._unknown_summary import describe_stand_in, name_findings
 from stickslip_fit.diagnosis._words import Words, lower_first
 from stickslip_fit.diagnosis.autocorrelation import MEDIAN_OF_NORMAL
 from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, TO_SOME_EXTENT, Finding, TableInfo, shown_size
@@ -152,7 +152,8 @@ class TableWords(Words):
             alone = sum(len(one.traverses) for one in diagnosis.findings if one.traverses is not None) == 1
             left_out = "It is left out" if alone else "They are left out"
             return f"{left_out}; of all others the law leaves {left} rms."
-        what = f"The law extended by {join_words(name_findings(named))}"
+        names = [name.replace(f"{UNKNOWN}: ", "the ") for name in name_findings(named)]
+        what = f"The law extended by {join_words(names)}"
         if gain is None:
             last = diagnosis.selection.linearized
             rms_after = float(np.sqrt(np.mean(last.unwhiten(last.residual) ** 2)))
@@ -165,6 +166,11 @@ class TableWords(Words):
             before, after = map(size, gain.given_before)
             cut += f" ({GIVEN_BEFORE}: from {before} to {after})"
         advice = "".join(_what_separates(finding, diagnosis) for finding in named)
+        if unnamed := [finding for finding in named if finding.cause == UNKNOWN]:
+            advice += (
+                f" What to do: find out what {describe_stand_in(unnamed[0])}, put that into the table as a "
+                "column or offer it as a cause of your own, and diagnose again."
+            )
         return f"{what} {cut}; the noise is {noise}.{advice}"
 
     def _describe_no_misfit(self) -> str:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stickslip_fit._format import (
+    MISSING,
     format_coordinate,
     format_direction,
     format_percent,
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 POSITION, LOAD = "position", "load"
 ANGLES = ("q1", "q2", "q3", "theta", "psi")
 MIN_EXPLAINED, MAX_EXPLAINING = 0.05, 5  # share of a structure; causes in the table
+MIN_BENT = 0.1  # share of a structure that a cause explains only bent, from which that is told
 OPPOSITE = ", with opposite signs in the two directions"
 CARRIER_PHRASES = {
     "time": "changes slowly with time, in each session in its own way",
@@ -200,7 +202,7 @@ def _describe_worth(finding: Finding) -> str:
     if gain.extended >= gain.baseline:
         return f"held-out errors stay at {format_percent(gain.extended)}"
     before, after = format_percent(gain.baseline), format_percent(gain.extended)
-    return f"it lowers the held-out error from {before} to {after}"
+    return f"it lowers the held-out error from {before} to {after}{gain.doubt}"
 
 
 def describe_scatter(diagnosis: Diagnosis) -> str:
@@ -216,12 +218,19 @@ def describe_unknown_gain(finding: Finding, diagnosis: Diagnosis) -> str:
     if finding.version is None:
         return ""
     test = describe_test(finding, diagnosis)
-    what = "term" if finding.term else "function"
+    what = f"what {describe_stand_in(finding)}"
+    if getattr(finding.version, "carriers", ()) == (POSITION,) and getattr(finding.version, "sessions", ()):
+        what = f"what makes it differ from session to session{_name_closest(finding)}"
     return (
-        f"{test + ' ' if test else ''}What to do: find out what the {what} stands for"
-        f"{_name_closest(finding)}, log that as a column of its own, and diagnose again. Meanwhile the "
-        f"extended law has it; {describe_scatter(diagnosis)}."
+        f"{test + ' ' if test else ''}What to do: find out {what}, log that as a "
+        "column of its own, and diagnose again. Meanwhile the extended law has it; "
+        f"{describe_scatter(diagnosis)}."
     )
+
+
+def describe_stand_in(finding: Finding) -> str:
+    """What a proposal is to be replaced by, as a clause: that for which it stands."""
+    return f"the {'term' if finding.term else 'function'} stands for{_name_closest(finding)}"
 
 
 def _name_closest(finding: Finding) -> str:
@@ -229,7 +238,15 @@ def _name_closest(finding: Finding) -> str:
     if not finding.explains:
         return ""
     closest = max(finding.explains, key=lambda cause: finding.explains[cause])
-    return f" (the closest known cause, {closest}, explains {100 * finding.explains[closest]:.0f} % of it)"
+    return f" (the closest known cause, {closest}, {describe_share(finding, closest)})"
+
+
+def describe_share(finding: Finding, cause: str) -> str:
+    """What a known cause explains of structure without a name; a bent form of it is no evidence for it."""
+    share = finding.explains.get(cause, finding.share)
+    own = finding.explains_by_equation.get(cause, share)
+    bent = f", {100 * share:.0f} % if its form may bend as the data ask" if share - own >= MIN_BENT else ""
+    return f"explains {100 * (own if bent else share):.0f} % of it{bent}"
 
 
 def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
@@ -245,9 +262,12 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
     if getattr(finding.version, "common", 0.0):
         gain = diagnosis.gain_new_session
         if gain is not None and gain.extended >= gain.baseline:
-            return "It predicts within its session only: another session is predicted no better."
+            before, after = format_percent(gain.baseline), format_percent(gain.extended)
+            worse = "no better" if before == after else f"worse, with errors of {after} in place of {before}"
+            return f"It predicts within its session only: a new session is predicted {worse}."
+        does = "may predict" if gain is None or gain.doubt else "predicts"
         return (
-            "What the sessions have in common predicts another session, too; the rest predicts its own only."
+            f"What the sessions have in common {does} another session, too; the rest predicts its own only."
         )
     if getattr(finding.version, "sessions", ()):
         return "Another session will have another one, so that this one predicts within its session only."
@@ -311,20 +331,24 @@ def explains_tables(diagnosis: Diagnosis) -> list[Table]:
         rows = tuple(
             (
                 cause,
+                f"{100 * finding.explains_by_equation[cause]:.0f}"
+                if cause in finding.explains_by_equation
+                else MISSING,
                 f"{100 * share:.0f}",
-                number(size * (1 - sqrt(max(1 - share, 0.0)))),
                 number(size * sqrt(max(1 - share, 0.0))),
             )
             for cause, share in shares
         )
         columns = (
             Column("cause", text=True),
-            Column("explains", "%"),
-            *numbers("takes away", "leaves", unit=f"{unit} rms".strip()),
+            *numbers("by its equation", "bent to fit", unit="%"),
+            Column("leaves", f"{unit} rms".strip()),
         )
         note = (
-            f"Each cause by itself, of the {diagnosis.info.format_size(size)} rms without a name: the share "
-            "of its square that the cause explains, and the rms that it would take away and leave."
+            f"Each cause by itself: the share that it explains of the square of the "
+            f"{diagnosis.info.format_size(size)} rms without a name, by its equation, where that has one "
+            "shape, and with a form that bends as the data ask, where it may; and the rms that the bent form "
+            "would leave. What only a bent form explains is no evidence for the cause."
         )
         tables += [Table("The closest causes", columns, rows, note=note)] if rows else []
     return tables

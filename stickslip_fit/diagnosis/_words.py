@@ -16,6 +16,7 @@ import pandas as pd
 
 from stickslip_fit._format import format_p_value, join_words
 from stickslip_fit._typing import Array
+from stickslip_fit.diagnosis._unknown_summary import describe_share
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, DataInfo, Finding, Gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import compute_shape, term_change
@@ -118,7 +119,7 @@ class Words(ABC):
         text += f"and has the shape of no cause that was searched{self.describe_way(finding)}"
         if not finding.closest or finding.share < MIN_SHARE:
             return text
-        return f"{text}; the closest, {finding.closest}, explains {100 * finding.share:.0f} % of it"
+        return f"{text}; the closest, {finding.closest}, {describe_share(finding, finding.closest)}"
 
     def describe_way(self, finding: Finding) -> str:
         """Which way the response goes with the column that a finding follows, as the end of a sentence.
@@ -169,7 +170,7 @@ class Words(ABC):
         """Both errors on held-out rows, as the end of a sentence on the extended law."""
         return (
             f"cuts the prediction error on held-out {self.info.row}s from "
-            f"{self.info.format_size(gain.baseline)} to {self.info.format_size(gain.extended)}"
+            f"{self.info.format_size(gain.baseline)} to {self.info.format_size(gain.extended)}{gain.doubt}"
         )
 
     @property

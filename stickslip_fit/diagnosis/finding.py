@@ -81,6 +81,12 @@ class Gain:
         return Interval(self.baseline - self.extended, self.low, self.high)
 
     @property
+    def doubt(self) -> str:
+        """The end of a sentence on both errors where the interval that judges them holds 0; else empty."""
+        is_open = self.low <= 0.0 and not self.given_before
+        return ", though a replicate might gain nothing" if is_open else ""
+
+    @property
     def judged(self) -> tuple[float, float]:
         """The errors, before and after, by which what extends the law is judged.
 
@@ -125,7 +131,10 @@ class Finding:
     term : str
         For ``unknown``: the formula of the term that is proposed for it; empty without one.
     explains : mapping of str to float
-        For ``unknown``: the share of the structure's square that each known cause explains.
+        For ``unknown``: the share of the structure's square that each known cause explains, bent as the data
+        ask where its form may bend.
+    explains_by_equation : mapping of str to float
+        The same by the cause's equation alone, for causes of which that has one shape.
     """
 
     cause: str
@@ -145,6 +154,7 @@ class Finding:
     together_with: tuple[str, ...] = ()
     term: str = ""
     explains: Mapping[str, float] = field(default_factory=dict)
+    explains_by_equation: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def cause_set(self) -> tuple[str, ...]:

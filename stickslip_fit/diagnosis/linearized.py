@@ -137,6 +137,10 @@ class LinearizedFit:
     def _solved_filter(self) -> Any:
         return None if self.noise_filter is None else splu(csc_array(self.noise_filter))
 
+    def __getstate__(self) -> dict[str, Any]:
+        # A factorization cannot be sent to another process, which makes its own.
+        return {name: value for name, value in self.__dict__.items() if name != "_solved_filter"}
+
     @cached_property
     def shared_basis(self) -> Array:
         """The columns of `basis` that all blocks share, shape (n, k)."""

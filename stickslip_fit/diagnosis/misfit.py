@@ -320,6 +320,11 @@ class Misfit:
         assert isinstance(best, Hypothesis)
         return best
 
+    def single_directions(self, cause: str) -> list[Hypothesis]:
+        """The hypotheses of a cause by its equation alone, without a shape that the data may bend."""
+        own = (self.hypotheses[k] for k in self._places.get(cause, ()))
+        return [one for one in own if isinstance(one, Hypothesis) and one.values is not None]
+
     def _choose(self, places: Sequence[int]) -> int:
         """The likeliest hypothesis, or the simpler one that it adds parameters to, for no clear reason.
 

@@ -310,8 +310,8 @@ def problem_from_log(
     """
     rows = usable_rows(log)
     candidates = (*library(), *covariates(rows)) if causes is None else tuple(causes)
-    reasons = {cause.name: explain_missing(cause, rows, log.machine) for cause in candidates}
-    missing = {name: why for name, why in reasons.items() if why is not None}
+    reasons = [explain_missing(cause, rows, log.machine) for cause in candidates]
+    missing = {cause.name: why for cause, why in zip(candidates, reasons, strict=True) if why is not None}
     parts, repeatability, uncertain = [], [], []
     responses, rounding = np.zeros(len(rows)), np.zeros(len(rows))
     drive = np.zeros(len(rows), dtype=np.intp)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import join_words
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
 from stickslip_fit._threads import one_blas_thread
@@ -171,6 +172,7 @@ class Diagnosis(Summarized):
             if not unsupported:
                 break
             selection, findings = withdraw_causes(selection, findings, unsupported, self.info)
+            options["progress"] = _say_again(progress, [one.cause for one in unsupported])
             for one in unsupported:
                 unknown = inclusion.get(UNKNOWN) or 0.0
                 inclusion |= {UNKNOWN: max(inclusion[one.cause] or 0.0, unknown), one.cause: unknown}
@@ -372,3 +374,8 @@ class DiagnosisInSI:
     """The table of a diagnosis's parameters in SI; `Diagnosis.parameters` says its columns."""
 
     parameters: pd.DataFrame
+
+
+def _say_again(progress: ProgressCallback, causes: Sequence[str]) -> ProgressCallback:
+    """Progress of work that is done again, without some causes."""
+    return lambda step, done: progress(f"{step}, again without {join_words(causes)}", done)

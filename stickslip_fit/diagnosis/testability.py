@@ -46,7 +46,7 @@ def find_untestable(problem: DiagnosisProblem, linearized: LinearizedFit) -> dic
         elif strength < MIN_TESTABLE_STRENGTH:
             shown = min(strength, MIN_TESTABLE_STRENGTH - 0.1)
             untestable[cause.name] = (
-                f"even at its largest plausible size its strength in this {data} would be {shown:.1f}, "
+                f"even at its largest plausible size it would be {shown:.1f} standard errors in this {data}, "
                 f"less than {MIN_TESTABLE_STRENGTH:.0f}"
             )
     return untestable

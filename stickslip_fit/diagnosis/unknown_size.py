@@ -97,13 +97,25 @@ def _compare_causes(misfit: Misfit, shape: Array) -> dict[str, Any]:
         shape = shape - misfit.basis @ (misfit.basis.T @ shape)
     squares = float(shape @ shape)
     known = {cause: value for cause, value in misfit.log_evidence_by_cause.items() if cause != UNKNOWN}
+
+    def explained(near: Hypothesis) -> float:
+        return float(np.sum(near.coefficients(shape) ** 2)) / max(squares, MIN_LENGTH)
+
     explains = {
-        cause: float(np.sum(near.coefficients(shape) ** 2)) / max(squares, MIN_LENGTH)
+        cause: explained(near)
         for cause in known
         if isinstance(near := misfit.best_hypothesis(cause), Hypothesis)
     }
+    by_equation = {
+        cause: max(map(explained, own)) for cause in explains if (own := misfit.single_directions(cause))
+    }
     closest = max(known, key=lambda cause: known[cause]) if known else ""
-    return {"closest": closest, "share": explains.get(closest, 0.0), "explains": explains}
+    return {
+        "closest": closest,
+        "share": explains.get(closest, 0.0),
+        "explains": explains,
+        "explains_by_equation": by_equation,
+    }
 
 
 @dataclass(frozen=True, eq=False)

@@ -106,8 +106,12 @@ class TableFit(Summarized):
 
     @property
     def df(self) -> int:
-        """Independent values beyond the parameters, at least 1."""
-        return max(int(self.source.independent) - len(self.covariance), 1)
+        """Degrees of freedom of intervals, at least 1: of the independent values the share beyond parameters.
+
+        Parameters take rows, each of which counts as less than one independent value.
+        """
+        rows = max(self.source.rows, 1)
+        return max(int(self.source.independent * (rows - len(self.covariance)) / rows), 1)
 
     @property
     def parameters(self) -> pd.DataFrame:

@@ -253,11 +253,16 @@ def robust_limit(sizes: Array, quantile: float, zoom: float, margin: float = 1.0
     return margin * min(float(sizes.max()), zoom * float(np.quantile(sizes, quantile)))
 
 
+def _elide(name: str, width: int = 12) -> str:
+    """A name without its middle, as sessions differ by their ends."""
+    return name if len(name) <= width else f"{name[: width // 2 - 1]}…{name[-width // 2 :]}"
+
+
 def label_sessions(axes: Axes, sessions: Sequence[str], *, vertical: bool = True) -> None:
     """An x axis of sessions: the latest is named and as many others as there is space for."""
     every = -(-len(sessions) // MAX_SESSION_LABELS)
     places = range(len(sessions) - 1, -1, -every)
-    names = [shorten(str(sessions[place]), 12) for place in places]
+    names = [_elide(str(sessions[place])) for place in places]
     axes.set_xticks(places, names, rotation=90 if vertical else 0)
     axes.set_xlim(-0.5, len(sessions) - 0.5)
     axes.ticklabel_format(axis="y", useOffset=False)

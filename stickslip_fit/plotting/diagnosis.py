@@ -177,7 +177,7 @@ def gain_picture(diagnosis: Diagnosis) -> Picture:
     caption += (
         f"Each {info.row} predicted by laws to which it contributed nothing, the search for causes included: "
         f"{before} rms by the {baseline_name(diagnosis)}, {after} by the extended one, over all sessions. "
-        f"No law can be better than the line, {floor}."
+        f"Over all sessions no law can be expected to be better than the line, {floor}."
     )
     return make_picture(key, title, caption, plot_gain(diagnosis))
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -17,7 +18,7 @@ from stickslip_fit._format import coordinate_unit, format_percent, joint_name, p
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.position import is_reversed
 from stickslip_fit.diagnosis import Finding
-from stickslip_fit.diagnosis._unknown_summary import name_carriers
+from stickslip_fit.diagnosis._unknown_summary import POSITION, name_carriers
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import LogInfo
 from stickslip_fit.diagnosis.memory import AR1
@@ -154,6 +155,7 @@ def fold_phase(carrier: str, rows: pd.DataFrame, shape: Array) -> tuple[str, Arr
 SESSION_GAP = 0.04  # of all hours, between two sessions drawn one after the other
 CONCATENATED_HOURS = "hours, all sessions"
 SESSION_HOURS = "hours in session"
+MAX_PLAIN_STEPS = 1e4
 OWN_STEPS = "own steps so far (millions)"
 LOAD_BEFORE = "previous traverse's load"
 REVERSED = "0: same way, 1: reversed"
@@ -191,7 +193,8 @@ def _compute_covariates(rows: pd.DataFrame, machine: Machine) -> Iterator[tuple[
         unit, values = coordinate_unit(name, machine), rows[name].to_numpy(float)
         values = np.where(joint == int(name[1:]), middle, values) if name.startswith("q") else values
         yield f"{name} ({'°' if unit == 'deg' else unit})", from_si(values, unit)
-    yield "steps (thousands)", rows["steps"].to_numpy(float) / 1e3
+    steps = rows["steps"].to_numpy(float)
+    yield ("steps", steps) if steps.max(initial=0.0) < MAX_PLAIN_STEPS else ("steps (thousands)", steps / 1e3)
     yield LOAD_BEFORE, rows["before_load"].to_numpy(float)
     if has_times(rows):
         yield REVERSED, is_reversed(rows["before_direction"], rows["direction"]).astype(float)
@@ -250,7 +253,7 @@ def finding_picture(
     """
     label, figure = draw_finding(finding, selected, shape, comparison, machine)
     over = f"the {label}" if label == EFFECT_LABEL else label
-    over += ", one session after the other" * (label == CONCATENATED_HOURS)
+    over += ", one session after the other (dotted: where one begins)" * (label == CONCATENATED_HOURS)
     title, above = f"{finding.cause}: residuals", ""
     if _is_proposal(selected):
         proposed = finding.term or f"a smooth function of {name_carriers(finding)}".rstrip(",")
@@ -284,6 +287,10 @@ def draw_finding(
         legend.append(make_legend_entry(PROPOSAL_LABEL, INK, line="--"))
     sides = choose_sides(comparison, without=partial, extended=selected.version is not None)
     figure = draw_sides(sides, label, values, panels, legend, LogInfo(), effect=partial, numbers=rows.index)
+    if label == CONCATENATED_HOURS:
+        begins = values - from_si(rows["session_seconds"].to_numpy(float), "h")
+        for axis, begin in product(figure.axes, np.unique(begins.round(6))[1:]):
+            axis.axvline(begin, color=GREY, lw=0.8, ls=":", zorder=0.8)
     return label, figure
 
 
@@ -296,15 +303,16 @@ def _find_carrier_values(
     if isinstance(best, AR1):
         return BEFORE_LABEL, np.where(best.before >= 0, 100 * comparison.after[best.before], np.nan)
     rows = comparison.rows
-    if selected.version is not None and follows_position(selected.version):
-        return _own_position(rows, subset, machine)
     columns, carriers = _select_covariates(rows, subset, machine), getattr(selected.version, "carriers", ())
     if len(carriers) > 1:
         return EFFECT_LABEL, 100 * shape
+    label, values = _own_position(rows, subset, machine)
+    if POSITION in carriers or (selected.version is not None and follows_position(selected.version)):
+        return label, values
+    if any(_varies(values[subset & (rows["joint"] == joint).to_numpy()]) for joint in rows["joint"].unique()):
+        columns = {label: values} | columns  # first: a coordinate of one joint is a setting of the others
     own = [find_label(column) for column in getattr(selected.version, "columns", ())]
-    moving = {int(joint) for joint in rows["joint"][subset]}
-    angles = [f"q{max(moving)}" if name == "position" and len(moving) == 1 else name for name in carriers]
-    begins = tuple(CARRIER_LABELS.get(name, f"{name} (") for name in angles)
+    begins = tuple(CARRIER_LABELS.get(name, f"{name} (") for name in carriers)
     own += [label for label in columns if begins and label.startswith(begins)]
     columns = {label: columns[label] for label in own if label in columns} | columns
     groups = 2 * rows["joint"].to_numpy() + (rows["direction"] == "-").to_numpy()

@@ -208,6 +208,8 @@ def test_a_version_of_its_own_keeps_its_session(knocked):
         ((Temperature(),), {}, "temperature cannot be fitted: the log has no ambient temperature"),
         ((WornSpot(),), {}, "runs the whole guide"),
         ((EndStopMisfire(),), {}, "heavy tails"),
+        (("drift",), {}, "'drift' is no cause; a cause is a value"),
+        ((Drift,), {}, "Drift'> is no cause; a cause is a value"),
         ((Drift(),), {"shared": ("b",)}, "b cannot be the same in all sessions while causes are fitted"),
         ((Drift(),), {"bounds": {"drift.q": (0.0, 1.0)}}, "no parameter|has a parameter 'drift.q'"),
     ],

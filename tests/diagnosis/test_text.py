@@ -118,7 +118,7 @@ def test_what_has_no_name_is_shown_as_it_is(unnamed):
     assert re.search(r"come and go with a period of 5\d\.\d min, which no known cause does; a wave", first)
     assert "find out what the function stands for" in second
     (finding,) = unnamed.findings
-    near = replace(finding, version=None, share=0.34)
+    near = replace(finding, version=None, share=0.34, explains={}, explains_by_equation={})
     first, second = write_headline(replace(unnamed, findings=(near,)))
     assert re.search(r"comes and goes with a period of 5\d\.\d min", first)
     assert first.endswith(f"the closest, {finding.closest}, explains 34 % of it.")

@@ -103,7 +103,7 @@ def test_the_tables_hold_the_diagnosis(page, found):
     assert float(page.column("What is wrong", "effect, rms%")[0]) == pytest.approx(
         100 * finding.effect.estimate, abs=0.006
     )
-    assert page.column("What the extended law gains", "published law%")[0] == "2.2"
+    assert page.column("What the extended law gains", "published law%")[0] == "2.16"
     assert page.column("Discriminating traverses", "q2") == ["−45°"]
     assert page.column("Discriminating traverses", "from") == ["stop"]
     unseen = " ".join(page.texts)

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import statsmodels.api as sm
+from scipy.signal import lfilter
 
 import stickslip_fit as ssf
 from stickslip_fit.causes import TableRoles
@@ -70,6 +71,22 @@ def two_runs(seed=5):
     first, second = bench(seed, difference=0.0), bench(seed + 1, difference=0.0)
     second = second.assign(F=second["F"] + 1.0, t=second["t"] + 100.0)
     return pd.concat([first.assign(run="a"), second.assign(run="b")], ignore_index=True)
+
+
+def test_parameters_of_many_short_sessions_have_intervals_that_cover_and_are_no_wider():
+    """44 parameters, and noise in which 1,034 values count as about 57: 57 - 44 is no number of freedoms."""
+    rng, within, reach = np.random.default_rng(1), [], []
+    seconds = np.arange(47) / 15
+    for _ in range(3):
+        noise = lfilter([1.0], [1.0, -0.9], rng.standard_normal((22, 200)))[:, -47:]
+        frame = pd.DataFrame({"run": np.repeat(np.arange(22), 47), "t": np.tile(seconds, 22)})
+        frame["y"] = 1.0 + 2.0 * frame["t"] + 0.1 * noise.ravel()
+        table = ssf.fit_table(frame, ssf.Law("y ~ a + b*t"), session="run", time="t").parameters
+        true = table["name"].map({"a": 1.0, "b": 2.0})
+        within += [*table["low"].le(true) & true.le(table["high"])]
+        reach += [*(table["high"] - table["low"]) / (2 * table["standard_error"])]
+    assert np.mean(within) == pytest.approx(0.94, abs=0.045)
+    assert max(reach) < 2.2
 
 
 def test_each_session_has_its_own_values_and_shared_ones_have_one():

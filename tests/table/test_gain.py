@@ -1,5 +1,7 @@
 """The gain of a table's diagnosis, against cross-validation written by hand with plain numpy."""
 
+import pickle
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -186,3 +188,11 @@ def test_rows_that_few_parameters_explain_end_the_search():
     frame = pd.DataFrame({"year": 1950.0 + np.arange(24), "calls": calls})
     law = ssf.Law("calls ~ a + b*year", units={"year": "years"})
     assert ssf.diagnose_table(frame, law, time="year").findings
+
+
+def test_folds_go_to_other_processes_whatever_was_computed_before(named):
+    linearized = named.selection.problem.linearize()
+    noise = np.random.default_rng(1).standard_normal(len(linearized))
+    coloured = linearized.recolour(noise)  # by a factorization, which no process can be sent
+    assert pickle.loads(pickle.dumps(linearized)).recolour(noise) == pytest.approx(coloured)
+    assert not np.allclose(coloured, noise)

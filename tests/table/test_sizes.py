@@ -41,7 +41,7 @@ def test_what_is_withdrawn_is_said_with_its_own_size(named):
     )
     (table,) = [one for one in answer.summary().sections[1].tables if one.caption == "Candidate causes"]
     factors = {row[0]: row[2] for row in table.rows}
-    assert factors["unknown"] == "> 10^6"
+    assert factors["unknown"] == "> 1,000,000"
 
 
 def test_of_an_estimate_of_zero_the_most_that_it_may_be_is_told(days):

@@ -55,7 +55,7 @@ def test_what_follows_two_columns_is_proposed_for_both_and_predicts(tmp_path):
         ("unknown", "z"),
     }
     assert f"of y follows {second.carrier}" in diagnosis.summary().headline[1]
-    assert "unknown: proposed term and unknown: smooth function" in diagnosis.summary().headline[2]
+    assert "extended by the proposed term and the smooth function cuts" in diagnosis.summary().headline[2]
     assert first.gain.extended == second.gain.baseline > second.gain.extended == diagnosis.gain.extended
     fit = diagnosis.extended_law()
     assert len({one.name for one in fit.law.parameters}) == len(fit.law.parameters)

@@ -69,6 +69,14 @@ def test_verdicts(named, nothing, outlying, unnamed):
     assert "2 values of F do not belong to the rest" in str(outlying)
 
 
+def test_structure_without_a_name_says_what_to_do_next(unnamed):
+    text = " ".join(str(unnamed).split())
+    assert re.search(r"The law extended by the (smooth function|proposed term) leaves", text)
+    assert re.search(
+        r"What to do: find out what the (function|term) stands for .*, and diagnose again\.", text
+    )
+
+
 def test_json_says_what_per_cent_are_of(named, file):
     content, gain = diagnosis_to_json(named), named.gain
     sd = float(np.std(bench(1, phi=0.6)["F"]))
