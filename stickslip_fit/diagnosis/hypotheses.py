@@ -12,6 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -283,8 +284,8 @@ class SessionFit:
         Columns of each part's rows.
     blocks : tuple of (array of int, shape (m,), array, shape (m, p))
         Positions in the session, and the basis of its calibration there.
-    shared_basis, shared : array, shape (s, k), (n, k)
-        Basis of what all sessions share, here and in all rows; the latter None without any.
+    shared : array, shape (n, k), or None
+        Basis of what all sessions share, in all rows; None without any.
     scale : array, shape (s,)
     noise_filter : sparse array, shape (s, s), or None
         Both as of the `LinearizedFit`.
@@ -294,13 +295,17 @@ class SessionFit:
     parts: tuple[LawBlock, ...]
     tables: tuple[dict[str, npt.NDArray[Any]], ...]
     blocks: tuple[tuple[IntArray, Array], ...]
-    shared_basis: Array
     shared: Array | None
     scale: Array
     noise_filter: csr_array | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    @cached_property
+    def shared_basis(self) -> Array:
+        """As `shared`, in the session's rows, shape (s, k)."""
+        return np.zeros((len(self), 0)) if self.shared is None else self.shared[self.rows]
 
     def whiten(self, changes: Array) -> Array:
         """As of the `LinearizedFit`, shape (s, m)."""
@@ -337,7 +342,6 @@ def split_sessions(linearized: LinearizedFit) -> dict[str, SessionFit]:
             tuple(parts[k]),
             tuple(tables[k]),
             tuple(blocks[k]),
-            linearized.shared_basis[rows],
             linearized.shared,
             linearized.scale[rows],
             select_filter(linearized.noise_filter, rows),
