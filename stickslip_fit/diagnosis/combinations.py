@@ -454,7 +454,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
     if not likeliest:
         return Refits(misfit, starts, extensions)
     before, likelihoods = problem.linearize_extended(fit_causes(problem, selected)), dict[str, float]()
-    fits: dict[str, ExtendedFit] = {}
+    residuals: dict[str, Array] = {}
     for cause in likeliest:
         trial = make_selected(misfit, form_cause_set(misfit, cause))
         one = refine_trial(trial, before)
@@ -464,7 +464,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
         except np.linalg.LinAlgError:
             failed.append(cause)
             continue
-        fits[cause] = fit
+        residuals[cause] = after.residual
         left, df = _share_left(misfit, before, after)
         gain = _refit_gain(misfit, cause, left, df)
         shape = misfit.best_hypothesis(cause)
@@ -485,7 +485,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
         highest, best = max(evidence[cause] for cause in likelihoods), max(likelihoods.values())
         evidence |= {cause: highest + likelihoods[cause] - best for cause in likelihoods}
     evidence = {cause: value for cause, value in evidence.items() if cause not in failed}
-    evidence, inconsistent = _compare_sessions(problem, evidence, fits, extensions)
+    evidence, inconsistent = _compare_sessions(problem, evidence, residuals, extensions)
     left_over = replace(misfit, log_evidence_by_cause=evidence, inconsistent=inconsistent)
     return Refits(left_over, starts, extensions, tuple(failed))
 
@@ -493,18 +493,23 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
 def _compare_sessions(
     problem: DiagnosisProblem,
     evidence: dict[str, float],
-    fits: Mapping[str, ExtendedFit],
+    residuals: Mapping[str, Array],
     extensions: Mapping[str, Extension],
 ) -> tuple[dict[str, float], tuple[str, ...]]:
-    """The evidence of causes, that of rivals limited where these are no less likely, neither being right."""
-    if len(fits) < 2:
+    """The evidence of causes, that of rivals limited where these are no less likely, neither being right.
+
+    `residuals` are those that a refit of each leaves.
+    """
+    if len(residuals) < 2:
         return evidence, ()
-    best = max(fits, key=evidence.__getitem__)
+    best = max(residuals, key=evidence.__getitem__)
     if best in extensions:  # in the noise that it leaves
-        problem, fits = extensions[best][0], {cause: extensions[cause][1] for cause in fits}
+        noise = extensions[best][0]
+        residuals = {
+            cause: noise.linearize_extended(fit).residual for cause, (_, fit, _) in extensions.items()
+        }
     session = pd.factorize(problem.rows["session"].astype(object))[0]
-    residuals = {cause: problem.linearize_extended(fit).residual for cause, fit in fits.items()}
-    ahead = {cause: evidence[best] - evidence[cause] for cause in fits}
+    ahead = {cause: evidence[best] - evidence[cause] for cause in residuals}
     limited = {
         cause: limit_evidence(ahead[cause], residuals[best], own, session)
         for cause, own in residuals.items()
