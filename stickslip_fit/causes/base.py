@@ -87,8 +87,6 @@ class Cause(ABC):
         What the search for it leaves out, as a sentence; empty where it leaves out nothing.
     share_where_noise_persists : float
         How much of it counts as larger than noise whose autocorrelation is known within an error.
-    owns_functions : bool
-        Whether a smooth function of its only column is a form of it, only more flexible.
     """
 
     name: ClassVar[str]
@@ -114,7 +112,6 @@ class Cause(ABC):
     max_panel: float = np.inf
     search_note: ClassVar[str] = ""
     share_where_noise_persists: ClassVar[float] = 1.0
-    owns_functions: ClassVar[bool] = True
 
     @cached_property
     def null_values(self) -> tuple[float, ...]:
@@ -135,6 +132,14 @@ class Cause(ABC):
     def finer_trials(self, rows: pd.DataFrame, values: Array) -> Array:
         """Values that lie between those of `trials`, about some of shape (q,); (m, q), none as a rule."""
         return np.empty((0, len(values)))
+
+    def with_functions(self, sds: tuple[float, ...]) -> Cause | None:
+        """The cause where it has the form of a smooth function of its only column.
+
+        `sds` are the prior standard deviations of the function's coefficients. As it is where that makes no
+        difference; None where such a function is no form of it.
+        """
+        return self
 
     @property
     def start_values(self) -> tuple[float, ...]:

@@ -12,9 +12,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.generic import ColumnDependence
 from stickslip_fit.causes.proposed import SMOOTH_SCALE, JointTerm, PeriodicTerm, SmoothTerm
-from stickslip_fit.causes.table_terms import SmoothTableTerm
 from stickslip_fit.diagnosis.hypotheses import (
     Hypothesis,
     SessionFit,
@@ -137,11 +135,9 @@ def attribute_to_causes(
         cause = owner.get(one.cause.removeprefix("unknown:"))
         if one.cause in without:
             continue
-        if cause is None or not isinstance(one, Hypothesis):
+        if cause is None or one.version is None:
             attributed.append(one)
-        elif cause.name not in without and cause.owns_functions:
-            is_smooth = type(cause) is ColumnDependence and isinstance(one.version, SmoothTableTerm)
-            version = cause.as_smooth(one.version.sds) if is_smooth else cause
+        elif cause.name not in without and (version := cause.with_functions(one.version.sds)):
             attributed.append(replace(one, cause=cause.name, version=version, values=None))
     return attributed
 
