@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import chain
 from typing import Any
 
@@ -64,17 +64,15 @@ def _alternatives_in_time(linearized: LinearizedFit) -> Iterator[Hypothesis]:
         yield one
     own = replace(alike, sessions=tuple(map(str, dict.fromkeys(rows["session"].astype(object)))))
     yield from build_per_session_hypotheses(["unknown:time"], n, sessions, waves[:, None], [own])
-    joints = list(map(int, rows["joint"].unique()))
-    inside = [waves * (rows["joint"] == joint).to_numpy()[:, None] for joint in joints]
-    on = [((joint, "+"), (joint, "-")) for joint in joints]
-    for joint, ways, columns in zip(joints, on, inside, strict=True):
-        of_joint, name = replace(own, on=ways), f"unknown:time, joint {joint}"
-        yield from build_per_session_hypotheses([name], n, sessions, columns[:, None], [of_joint])
-    if len(joints) > 1:
-        shared = {field.name: getattr(own, field.name) for field in fields(own)}
-        each = JointTerm(**shared | {"on": tuple(chain(*on))})
-        columns = np.concatenate(inside, axis=1)[:, None]
-        yield from build_per_session_hypotheses(["unknown:time, each joint"], n, sessions, columns, [each])
+    columns, terms = [], []
+    for joint in map(int, rows["joint"].unique()):
+        columns.append(waves * (rows["joint"] == joint).to_numpy()[:, None])
+        terms.append(replace(own, on=((joint, "+"), (joint, "-"))))
+        name = f"unknown:time, joint {joint}"
+        yield from build_per_session_hypotheses([name], n, sessions, columns[-1][:, None], [terms[-1]])
+    if len(terms) > 1:
+        effects, each = np.concatenate(columns, axis=1)[:, None], JointTerm.of(terms)
+        yield from build_per_session_hypotheses(["unknown:time, each joint"], n, sessions, effects, [each])
     for clock in ("session_seconds", "session_order"):
         yield from _periodic_alternatives(linearized, sessions, clock)
 

@@ -9,7 +9,7 @@ stored for their rows only, and what is independent for each joint and direction
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -181,14 +181,11 @@ def _join_profiles(ending: str, profiles: Sequence[Hypothesis]) -> Hypothesis | 
     terms = [one.version for one in profiles]
     if len({(one.orders, one.sds) for one in terms}) > 1:
         return None
-    shared = {field.name: getattr(terms[0], field.name) for field in fields(terms[0])}
-    shared |= {"on": tuple(place for one in terms for place in one.on)}
-    shared |= {"sessions": tuple(dict.fromkeys(name for one in terms for name in one.sessions))}
     travel = tuple((one.on[0][0], *one.limits[0]) for one in terms)
     return replace(
         profiles[0],
         cause=f"unknown:{POSITION}, each joint, in each session{ending}",
-        version=TravelTerm(**shared, travel=travel),
+        version=TravelTerm.of(terms, travel=travel),
         blocks=tuple(block for one in profiles for block in one.blocks),
         prior_share=np.concatenate([one.length**2 * one.prior_share for one in profiles])
         / sum(one.length**2 for one in profiles),
