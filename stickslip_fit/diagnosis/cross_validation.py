@@ -17,7 +17,6 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.proposed import CarryOverTerm
-from stickslip_fit.diagnosis.combinations import refine_trial
 from stickslip_fit.diagnosis.extension import DEPARTURE_PASSES, SelectedCause, fit_causes
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.fold_selection import Looks
@@ -30,6 +29,7 @@ from stickslip_fit.diagnosis.linearized import (
 )
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
+from stickslip_fit.diagnosis.refits import refine_trial
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.estimation._groups import Groups, group_rows
 from stickslip_fit.estimation._optimize import minimize

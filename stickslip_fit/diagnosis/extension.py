@@ -15,6 +15,7 @@ from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.causes.table_terms import PREDICTION
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes
 from stickslip_fit.diagnosis.cause_set import CauseSet
+from stickslip_fit.diagnosis.evidence import batch_hypotheses
 from stickslip_fit.diagnosis.hypotheses import (
     EFFECT_TOL,
     FiniteEffects,
@@ -32,7 +33,6 @@ from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
     Misfit,
     StructureRemoved,
-    batch_hypotheses,
     compute_misfit,
     drop_single_rows,
     remove_structure,

@@ -26,6 +26,7 @@ from stickslip_fit.diagnosis.cross_validation import (
     hold_out_sessions,
     make_folds,
 )
+from stickslip_fit.diagnosis.evidence import log_likelihood_ratio
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding, Gain
 from stickslip_fit.diagnosis.fold_selection import prepare_looks
@@ -39,7 +40,7 @@ from stickslip_fit.diagnosis.gain_interval import (
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE
-from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, detection_length, log_likelihood_ratio
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, compute_cause_jacobian, select_causes
 from stickslip_fit.logs.log import number_configurations

@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.cross_validation import Split
-from stickslip_fit.diagnosis.misfit import log_likelihood_ratio
+from stickslip_fit.diagnosis.evidence import log_likelihood_ratio
 
 Recolouring = Callable[[Array], Array]
 """From whitened columns, shape (n, m), to those in units of the noise of each row, correlated again."""

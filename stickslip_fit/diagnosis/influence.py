@@ -12,10 +12,11 @@ import numpy as np
 from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.diagnosis.evidence import batch_hypotheses
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1
-from stickslip_fit.diagnosis.misfit import Misfit, batch_hypotheses
+from stickslip_fit.diagnosis.misfit import Misfit
 from stickslip_fit.estimation.result import OUTLYING_SD
 
 MAX_INFLUENTIAL = 2  # rows

@@ -19,18 +19,12 @@ from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.evidence import MAX_EXPLAINED, STRENGTHS
 from stickslip_fit.diagnosis.extension import SelectedCause, make_selected
 from stickslip_fit.diagnosis.hypotheses import VARIANCE_TOL, Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.linearized import split_positions
 from stickslip_fit.diagnosis.memory import AR1, leave_out_rows, log_memory_evidence
-from stickslip_fit.diagnosis.misfit import (
-    MAX_EXPLAINED,
-    STRENGTHS,
-    Misfit,
-    average_by_cause,
-    classify_cause,
-    weigh_hypotheses,
-)
+from stickslip_fit.diagnosis.misfit import Misfit, average_by_cause, classify_cause, weigh_hypotheses
 
 MIN_KNOWN = 1e-6  # of a row left out: what calibration leaves of it; below, its block has no other row
 SHARED_FILL = 0.25  # of the rows, above which a direction of the calibration counts as shared by all

@@ -18,8 +18,9 @@ import numpy as np
 from scipy.special import digamma, softmax, stdtrit, zeta
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.diagnosis.evidence import log_likelihood_ratio
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
-from stickslip_fit.diagnosis.misfit import TAIL_DF, StructureRemoved, log_likelihood_ratio
+from stickslip_fit.diagnosis.misfit import TAIL_DF, StructureRemoved
 from stickslip_fit.diagnosis.noise_shape import Skewness, fit_skewness
 from stickslip_fit.diagnosis.unevenness import (
     MIN_FREE,

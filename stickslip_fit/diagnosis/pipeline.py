@@ -8,10 +8,10 @@
    (`memory`, `smooth_alternatives`) stand for "unknown", and `testability` says what a log could show.
 5. `noise`: repeatability, noisy configurations, outlying counts; `unevenness`: where noise is many times
    larger; `noise_shape`: skewed or coarsely rounded noise.
-6. `misfit`: is anything wrong? Bayes factors and the p-value.
-7. `selection`: forward selection of causes, by `extension` of the laws, with the causes that the data
-   cannot separate (`cause_set`) and those that show only together (`combinations`); `influence`: none rests
-   on one or two rows. `proposed_term`: a law for structure without a name.
+6. `misfit`: is anything wrong? Bayes factors (`evidence`) and the p-value.
+7. `selection`: forward selection of causes, by `extension` of the laws and `refits`, with the causes that
+   the data cannot separate (`cause_set`) and those that show only together (`combinations`); `influence`:
+   none rests on one or two rows. `proposed_term`: a law for structure without a name.
 8. `effect_size`: parameters and effects of the selected causes, with intervals (`finding`,
    `effect_interval`, `unknown_size`).
 9. `cross_validation`, `gain`, `gain_interval`: the held-out error with the causes in the law;

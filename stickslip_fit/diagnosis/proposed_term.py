@@ -20,18 +20,13 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import SMOOTH_SCALE, PeriodicTerm, SmoothTerm
 from stickslip_fit.causes.smooth import N_HARMONICS, prior_sds
 from stickslip_fit.causes.table_terms import PeriodicTableTerm
+from stickslip_fit.diagnosis.evidence import batch_hypotheses
 from stickslip_fit.diagnosis.expressions import Dictionary
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_effects, make_hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1
-from stickslip_fit.diagnosis.misfit import (
-    UNKNOWN,
-    Misfit,
-    batch_hypotheses,
-    classify_cause,
-    remove_structure,
-)
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause, remove_structure
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
 COMMON_IN_LAW = 0.5  # share of a function of sessions that is the same in all, in the law

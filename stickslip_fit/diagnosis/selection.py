@@ -29,7 +29,6 @@ from stickslip_fit.diagnosis.combinations import (
     find_needless,
     first_of_pair,
     name_combinations,
-    refit_likeliest,
     revise_causes,
 )
 from stickslip_fit.diagnosis.extension import (
@@ -60,6 +59,7 @@ from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, re
 from stickslip_fit.diagnosis.noise import NoiseEstimate, explains_more, find_outliers, find_runs
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
+from stickslip_fit.diagnosis.refits import refit_likeliest
 from stickslip_fit.diagnosis.testability import MIN_DF
 from stickslip_fit.estimation.result import OUTLYING_SD
 
@@ -332,13 +332,10 @@ def follows(selected: SelectedCause, carrier: str) -> bool:
 
 def find_broad_cause(linearized: LinearizedFit, misfit: Misfit, narrow: str) -> str:
     """The likeliest cause after one that rests on few rows, likelier than `UNKNOWN`, that does not."""
-    evidence = misfit.log_evidence_by_cause
-    least = evidence.get(UNKNOWN, 0.0) + PAIR_MIN_LOG_BAYES_FACTOR
-    others = sorted(evidence.keys() - {UNKNOWN, narrow}, key=lambda cause: (-evidence[cause], cause))
-    for cause in others:
-        if evidence[cause] > least and not assess_support(linearized, misfit, cause).too_narrow:
-            return cause
-    return UNKNOWN
+    least = misfit.log_evidence_by_cause.get(UNKNOWN, 0.0) + PAIR_MIN_LOG_BAYES_FACTOR
+    others = misfit.rank_causes(least, [narrow])
+    broad = (cause for cause in others if not assess_support(linearized, misfit, cause).too_narrow)
+    return next(broad, UNKNOWN)
 
 
 def explain_outliers(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> IntArray:
