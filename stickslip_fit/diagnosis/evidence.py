@@ -259,7 +259,7 @@ class HypothesisBatch:
         `explained`, shape (S len(STRENGTHS), k), of sums of squares of the residuals, shape (k,).
         """
         log = explained.reshape(-1, len(STRENGTHS), len(total))
-        log /= -np.maximum(total, np.finfo(log.dtype).tiny)
+        log /= -total
         largest = MAX_EXPLAINED if log.dtype == np.float64 else 1.0 - 1e-6
         np.log1p(np.maximum(log, -largest, out=log), out=log)
         log *= -0.5 * self.df
