@@ -236,6 +236,16 @@ class _Subspace:
     directions: Array
     variance: Array
 
+    @classmethod
+    def of(cls, rows: IntArray | slice, effects: Array, products: Array, least: float) -> _Subspace | None:
+        """Of effects in some rows, (s, m), by their products; None where these come to less than `least`."""
+        variance, right = (products[0], np.ones((1, 1))) if len(products) == 1 else np.linalg.eigh(products)
+        total = float(variance.sum())
+        if total < least:
+            return None
+        kept = variance > MIN_VARIANCE * total
+        return cls(rows, effects @ (right[:, kept] / np.sqrt(variance[kept])), variance[kept])
+
 
 @dataclass(frozen=True, eq=False)
 class _Effects:
@@ -361,12 +371,8 @@ class _Builder:
         projected = self.linearized.project(np.concatenate(columns, axis=1))
         rows = find_rows(projected)
         projected = projected[rows]
-        variance, right = np.linalg.eigh(projected.T @ projected)
-        kept = variance > MIN_VARIANCE * max(float(variance.sum()), EFFECT_TOL**2)
-        if not kept.any():
-            return None
-        directions = projected @ (right[:, kept] / np.sqrt(variance[kept]))
-        return replace(version, common=COMMON), [_Subspace(rows, directions, variance[kept])]
+        found = _Subspace.of(rows, projected, projected.T @ projected, EFFECT_TOL**2)
+        return (replace(version, common=COMMON), [found]) if found else None
 
     def subspace(
         self, effects: _Effects, sign: Array | None = None, rows: IntArray | None = None
@@ -384,12 +390,7 @@ class _Builder:
         if self.shared_basis.shape[1]:
             shared = self.shared_basis[subset].T @ own
             products -= shared.T @ shared
-        variance, right = (products[0], np.ones((1, 1))) if len(products) == 1 else np.linalg.eigh(products)
-        total = float(variance.sum())
-        if total < max(EFFECT_TOL**2, MIN_SHARE * before):
-            return None
-        kept = variance > MIN_VARIANCE * total
-        return _Subspace(subset, own @ (right[:, kept] / np.sqrt(variance[kept])), variance[kept])
+        return _Subspace.of(subset, own, products, max(EFFECT_TOL**2, MIN_SHARE * before))
 
     def make(
         self, name: str, version: SmoothTerm, parts: Sequence[_Subspace | None], sign: Array | None = None
