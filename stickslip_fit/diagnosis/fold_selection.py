@@ -8,14 +8,13 @@ selection has to be repeated.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
 from scipy.special import logsumexp
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.combinations import PAIR_LOG_PENALTY
 from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes, make_selected
@@ -33,32 +32,13 @@ CLEAR_REFIT = 1.0  # nats between the best cause and the next, both refitted
 MIN_EVIDENCE_SHARE = 0.5  # of the evidence in all rows; with less, a few rows may bear it
 
 
-@dataclass(frozen=True, eq=False)
-class Refit:
-    """A law fitted to all rows, linearized there.
-
-    Attributes
-    ----------
-    residual : array, shape (n,)
-    basis : sparse array, shape (n, number of parameters)
-    """
-
-    residual: Array
-    basis: csr_array
-
-    @classmethod
-    def of(cls, linearized: LinearizedFit) -> Refit:
-        """The fit that a linearization is about."""
-        return cls(linearized.residual, linearized.basis)
-
-    def log_likelihood(self, rows: IntArray | None = None) -> float:
-        """Of a fit without some rows, the size of the noise unknown, but for a constant."""
-        squares, df = float(self.residual @ self.residual), len(self.residual) - self.basis.shape[1]
-        if rows is not None:
-            left_out = LeftOut.of(self.basis, rows)
-            squares -= float(np.sum(left_out.coordinates(self.residual[rows, None]) ** 2))
-            df -= left_out.own.shape[1]
-        return -0.5 * df * float(np.log(squares))
+def log_likelihood_change(linearized: LinearizedFit, rows: IntArray) -> float:
+    """By how much a fit is likelier without some rows, the size of the noise unknown, but for a constant."""
+    residual, left_out = linearized.residual, LeftOut.of(linearized.basis, rows)
+    squares, df = float(residual @ residual), linearized.df
+    left = squares - float(np.sum(left_out.coordinates(residual[rows, None]) ** 2))
+    without = -0.5 * (df - left_out.own.shape[1]) * float(np.log(left))
+    return without + 0.5 * df * float(np.log(squares))
 
 
 class Looks:
@@ -77,7 +57,7 @@ class Looks:
         # A law for structure without a name may end the search whatever is left.
         ended = selection.selected[-1].version is not None and selection.last_misfit.p_value < self.level
         self.last = None if ended else look(selection.last_misfit)
-        self._refits: dict[tuple[str, str | None], Refit] = {}
+        self._refits: dict[tuple[str, str | None], LinearizedFit] = {}
 
     def select_without(self, rows: IntArray) -> list[SelectedCause] | None:
         """The causes in the law as selected without some rows; None if a look is not clear without them.
@@ -186,18 +166,17 @@ class Looks:
         if abs(look.refit_gain.get(rival, 0.0)) < CLEAR_REFIT:
             return without.log_evidence_by_cause[rival]
         before, after = self._refit(look, cause, None), self._refit(look, cause, rival)
-        change = after.log_likelihood(rows) - after.log_likelihood()
-        change -= before.log_likelihood(rows) - before.log_likelihood()
+        change = log_likelihood_change(after, rows) - log_likelihood_change(before, rows)
         return look.misfit.log_evidence_by_cause[rival] + change
 
-    def _refit(self, look: Look, cause: str, rival: str | None) -> Refit:
+    def _refit(self, look: Look, cause: str, rival: str | None) -> LinearizedFit:
         """The law of all rows with a rival in the place of a selected cause, or with neither."""
         if (cause, rival) not in self._refits:
             causes = [one for one in self.selection.law_causes if one.cause != cause]
             if rival is not None:
                 causes.append(make_selected(look.misfit, form_cause_set(look.misfit, rival)))
             problem = self.selection.problem
-            self._refits[cause, rival] = Refit.of(problem.linearize_extended(fit_causes(problem, causes)))
+            self._refits[cause, rival] = problem.linearize_extended(fit_causes(problem, causes))
         return self._refits[cause, rival]
 
     def _is_unknown(self, look: Look, without: Misfit) -> bool:
