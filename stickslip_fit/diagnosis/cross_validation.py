@@ -347,8 +347,7 @@ def extend_by_steps(
         if len(chosen) == len(causes):
             yield versions, selection.fit
         else:
-            start = np.concatenate([np.zeros(0), *(one.start for one in chosen)])
-            yield versions, selection.problem.fit_extended(versions, start)
+            yield versions, fit_causes(selection.problem, chosen)
 
 
 def match_findings(causes: Sequence[SelectedCause], findings: Sequence[Finding]) -> list[int]:

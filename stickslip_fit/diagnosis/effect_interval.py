@@ -105,8 +105,8 @@ def estimate_effect(
 
     `linearized` is the baseline.
     """
-    fit = _refit(selection)
-    values, covariance = fit.values[place], fit.covariance[place, place]
+    every_value, every_covariance = _refit(selection)
+    values, covariance = every_value[place], every_covariance[place, place]
     steps = DIFFERENCE_STEP * np.array(selected.version.scale)
     trials = np.concatenate([values[None], values + np.diag(steps)])
     plain = linearize_unweighted(selection)
@@ -156,23 +156,10 @@ def _memory_of(selected: SelectedCause) -> AR1 | None:
     return best if isinstance(best, AR1) else None
 
 
-@dataclass(frozen=True, eq=False)
-class _Refit:
-    """Parameters of all causes in the law.
+def _refit(selection: Selection) -> tuple[Array, Array]:
+    """Parameters of all causes, (q,), and their covariance, (q, q), in the noise as it is expected now.
 
-    Attributes
-    ----------
-    values : array, shape (q,)
-    covariance : array, shape (q, q)
-    """
-
-    values: Array
-    covariance: Array
-
-
-def _refit(selection: Selection) -> _Refit:
-    """One Gauss-Newton step from the fit of the selection, by the noise as it is expected now.
-
+    They are one Gauss-Newton step from the fit of the selection.
     A law's own choice is no parameter of that fit: what the choice leaves open adds to errors only. As a
     parameter it would stand for a part of the effects, beyond any difference that the choice can make.
     """
@@ -185,7 +172,7 @@ def _refit(selection: Selection) -> _Refit:
     lower, upper = _bounds(selection)
     if np.any((values < lower) | (values > upper)):  # so far from the fit, its slopes say nothing
         values = fit.values
-    return _Refit(values, _covariance(selection, slopes, inverse))
+    return values, _covariance(selection, slopes, inverse)
 
 
 def expected_covariance(selection: Selection) -> Array:

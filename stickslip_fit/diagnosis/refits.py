@@ -145,8 +145,7 @@ def penalised_likelihood(problem: DiagnosisProblem, fit: ExtendedFit) -> float:
 
 def refine_trial(one: SelectedCause, before: LinearizedFit) -> SelectedCause:
     """A cause whose start values are the best of its finer trials, if it has any."""
-    finer = getattr(one.version, "finer_trials", None)
-    if finer is None or not len(one.start) or not len(trials := finer(before.rows, one.start)):
+    if not len(one.start) or not len(trials := one.version.finer_trials(before.rows, one.start)):
         return one
     effects = compute_effects(before, one.version, trials)
     length = np.sqrt(np.sum(effects**2, axis=0))
