@@ -20,9 +20,8 @@ from stickslip_fit.diagnosis.combinations import PAIR_LOG_PENALTY
 from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes, make_selected
 from stickslip_fit.diagnosis.leave_out import LeftOut, Look
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.memory import AR1
-from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause
-from stickslip_fit.diagnosis.proposed_term import propose_term
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
+from stickslip_fit.diagnosis.proposed_term import propose_term, rank_forms
 from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 
 CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
@@ -95,14 +94,8 @@ class Looks:
         test, kept = selected.misfit, np.setdiff1d(np.arange(len(self.selection.problem)), rows)
         assert test is not None
         assert selected.tested is not None
-        likeliest = {int(np.argmax(test.log_evidence))}
-        smooth, memory = [], []
-        for k, one in enumerate(test.hypotheses):
-            if isinstance(one, AR1):
-                memory.append(k)
-            elif one.version is not None and classify_cause(one) == UNKNOWN:
-                smooth.append(k)
-        likeliest |= {max(own, key=lambda k: test.log_evidence[k]) for own in (smooth, memory) if own}
+        smooth, memory = rank_forms(test)
+        likeliest = {int(np.argmax(test.log_evidence)), *smooth[:1], *memory[:1]}
         restricted = self.revised[place].restrict(test, sorted(likeliest), rows)
         unknown = replace(selected, version=None, start=np.zeros(0), misfit=restricted)
         linearized, expressions = selected.tested.select_rows(kept), self.selection.problem.expressions
@@ -215,7 +208,7 @@ def prepare_looks(selection: Selection, alpha: float) -> Looks | None:
     known = [one for one in tests if one is not None]
     possible = all(one.basis is not None and len(one.residual) == len(selection.problem) for one in known)
     forced = any(
-        one.version is None and one.misfit is not None and _best_cause(one.misfit) != UNKNOWN
+        one.version is None and one.misfit is not None and form_cause_set(one.misfit).cause != UNKNOWN
         for one in selection.selected
     )
     independent = selection.problem.autocorrelation is None
@@ -228,7 +221,3 @@ def prepare_looks(selection: Selection, alpha: float) -> Looks | None:
 
 def _best_version(misfit: Misfit, cause: str) -> Any:
     return misfit.best_hypothesis(cause).version
-
-
-def _best_cause(misfit: Misfit) -> str:
-    return max(misfit.log_evidence_by_cause, key=lambda cause: misfit.log_evidence_by_cause[cause])

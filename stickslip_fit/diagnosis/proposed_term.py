@@ -51,20 +51,13 @@ def propose_term(
     misfit = unknown.misfit
     if unknown.cause != UNKNOWN or unknown.version is not None or misfit is None:
         return list(selected)
-    smooth = [
-        (float(evidence), one)
-        for evidence, one in zip(misfit.log_evidence, misfit.hypotheses, strict=True)
-        if classify_cause(one) == UNKNOWN and one.version is not None
-    ]
-    evidence, shape = max(smooth, key=lambda pair: pair[0], default=(-np.inf, None))
-    memory = [
-        (float(own), one)
-        for own, one in zip(misfit.log_evidence, misfit.hypotheses, strict=True)
-        if isinstance(one, AR1)
-    ]
-    to_beat, ar1 = max(memory, key=lambda pair: pair[0], default=(-np.inf, None))
+    (evidence, shape), (to_beat, ar1) = (
+        (misfit.log_evidence[places[0]], misfit.hypotheses[places[0]]) if places else (-np.inf, None)
+        for places in rank_forms(misfit)
+    )
     if evidence < max(MIN_STAND_IN_LOG_BAYES_FACTOR, to_beat - MEMORY_MARGIN):
-        if ar1 is None or ar1.term is None or to_beat < max(MIN_STAND_IN_LOG_BAYES_FACTOR, evidence):
+        least = max(MIN_STAND_IN_LOG_BAYES_FACTOR, evidence)
+        if not isinstance(ar1, AR1) or ar1.term is None or to_beat < least:
             return list(selected)
         start = np.array([ar1.coefficient])
         return [*others, replace(unknown, version=ar1.term, start=start, tested=linearized)]
@@ -85,6 +78,14 @@ def propose_term(
     version = shape.version.with_amplitude(estimate_strength(shape, misfit.residual) / shape.length)
     start = np.array(version.null_values)
     return [*others, replace(unknown, version=version, start=start, tested=linearized)]
+
+
+def rank_forms(misfit: Misfit) -> tuple[list[int], list[int]]:
+    """Places of what may follow unknown structure, the likeliest first: smooth functions, autoregressions."""
+    places, shapes = np.argsort(-misfit.log_evidence, kind="stable").tolist(), misfit.hypotheses
+    memory = [k for k in places if isinstance(shapes[k], AR1)]
+    smooth = [k for k in places if classify_cause(shapes[k]) == UNKNOWN and shapes[k].version is not None]
+    return smooth, memory
 
 
 def _periods_about(wave: Any) -> Iterable[Any]:
