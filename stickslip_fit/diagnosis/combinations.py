@@ -131,8 +131,7 @@ def find_beside_unknown(
     where it is much larger than the noise, nothing shows beside it until it is in the law. The margin is as
     of `find_exchange`.
     """
-    misfit = unknown.misfit
-    assert misfit is not None
+    misfit = unknown.test
     tests = _test_beside_unknown(misfit, searched.df) if problem.autocorrelation is None else []
     if not tests:
         return PairSearch(None)
@@ -258,7 +257,6 @@ def find_exchange(
     a cause set, each of the causes that might be C being equally likely beforehand.
     """
     *others, current = selected
-    assert current.misfit is not None
     left_over = max(0.0, max(last.log_evidence_by_cause.values(), default=0.0))
     n_causes = max(len(last.log_evidence_by_cause), 1)
     margin = float(np.log(problem.n_refits * n_causes / level))
@@ -270,7 +268,7 @@ def find_exchange(
     as_likely = own + float(np.log(n_causes)) - CAUSE_SET_LOG_BAYES_FACTOR
     best, likelihoods = None, dict[str, float]()
     for rival in rivals:
-        one = make_selected(current.misfit, form_cause_set(current.misfit, rival), refits.starts)
+        one = make_selected(current.test, form_cause_set(current.test, rival), refits.starts)
         extension = refits.extensions.get(rival) or extend_problem(problem, [*others, one])
         left, _, unknown = _next_cause(extension, [*others, one], [current.cause])
         alone = penalised_likelihood(*extension[:2])
@@ -301,8 +299,7 @@ def _close_rivals(current: SelectedCause, ahead: float, problem: DiagnosisProble
 
     Where the noise does not depend on the causes, the linearized effects already say whether they might be.
     """
-    misfit = current.misfit
-    assert misfit is not None
+    misfit = current.test
     evidence = misfit.log_evidence_by_cause
     least = max(MIN_REFIT_SHARE * evidence[current.cause], MIN_REFIT_LOG_BAYES_FACTOR)
     close = misfit.rank_causes(least, [current.cause])[: problem.n_refits]
@@ -325,9 +322,8 @@ def _evidence_added(
 
 def _without(misfit: Misfit, cause: str) -> Array:
     """The residuals without all that a cause's likeliest shape explains, shape (n,)."""
-    shape = misfit.best_hypothesis(cause)
-    assert isinstance(shape, Hypothesis)
-    return np.asarray(misfit.residual - shape.combine(shape.coefficients(misfit.residual)))
+    shape = misfit.best_subspace(cause)
+    return np.asarray(misfit.residual - shape.explain(misfit.residual))
 
 
 def name_combinations(

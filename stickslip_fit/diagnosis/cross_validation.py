@@ -201,11 +201,8 @@ class _FoldInformation:
     def try_add(self, kind: _KindInformation) -> bool:
         """Hold the rows of a kind out, too, if every parameter stays determined."""
         blocks = kind.blocks
-        own, cross, effect = (
-            self.own[blocks] + kind.own,
-            self.cross[blocks] + kind.cross,
-            self.effect[blocks] + kind.effect,
-        )
+        own, cross = self.own[blocks] + kind.own, self.cross[blocks] + kind.cross
+        effect = self.effect[blocks] + kind.effect
         # The trace bounds the largest eigenvalue.
         bound = np.trace(own, axis1=1, axis2=2).max()
         if bound >= MAX_UNKNOWN_SHARE and np.linalg.eigvalsh(own).max() >= MAX_UNKNOWN_SHARE:
@@ -214,12 +211,8 @@ class _FoldInformation:
         left = self.remaining_strength + np.sum(self.lost[blocks] - lost, axis=0)
         if np.any(left < self.min_strength):
             return False
-        self.own[blocks], self.cross[blocks], self.effect[blocks], self.lost[blocks] = (
-            own,
-            cross,
-            effect,
-            lost,
-        )
+        self.own[blocks], self.cross[blocks] = own, cross
+        self.effect[blocks], self.lost[blocks] = effect, lost
         self.remaining_strength[:] = left
         return True
 

@@ -281,8 +281,7 @@ def _forms_beyond_fit(selection: Selection, selected: SelectedCause) -> tuple[Ar
 
 def detection_threshold(selected: SelectedCause, df: int, alpha: float) -> float:
     """Strength of an effect above which a selected cause is detected."""
-    misfit = selected.misfit
-    assert misfit is not None
+    misfit = selected.test
     critical = misfit.critical_value(allocate_alpha(alpha))
     return detection_length(critical, misfit.n_shapes(selected.cause), df)
 

@@ -125,8 +125,7 @@ def choose_place(time: Array, criterion: Array) -> int | None:
 
 def _fit_rival(selection: Selection, selected: SelectedCause, cause: str) -> ExtendedFit:
     """The law with a rival in the place of a selected cause, refitted."""
-    misfit = selected.misfit
-    assert misfit is not None
+    misfit = selected.test
     shape: Any = misfit.best_hypothesis(cause)
     start = np.array(shape.version.start_values) if shape.values is None else shape.values
     rival = replace(selected, cause=cause, version=shape.version, start=start)

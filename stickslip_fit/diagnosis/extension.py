@@ -95,6 +95,12 @@ class SelectedCause:
     naming: Misfit | None = None
     tested: LinearizedFit | None = None
 
+    @property
+    def test(self) -> Misfit:
+        """As `misfit`, of what has a shape."""
+        assert self.misfit is not None
+        return self.misfit
+
 
 def law_causes(selected: Sequence[SelectedCause]) -> list[SelectedCause]:
     """Those that extend the laws."""
@@ -266,8 +272,7 @@ def _beside_harmonics(linearized: LinearizedFit, period: float) -> Array:
 
 def _unknown_forms(linearized: LinearizedFit, selected: SelectedCause) -> Array:
     """Effects of the carriers of a proposal, in its own form and in all others, whitened, (n, m)."""
-    misfit, version = selected.misfit, selected.version
-    assert misfit is not None
+    misfit, version = selected.test, selected.version
     carriers = set(version.carriers)
     others = [
         one.version
@@ -373,8 +378,7 @@ def alternative_forms(linearized: LinearizedFit, selected: SelectedCause) -> Arr
 
     These are its other shapes, and the square and the cube of its own effect, for a nonlinear dependence.
     """
-    misfit = selected.misfit
-    assert misfit is not None
+    misfit = selected.test
     effect = compute_changes(linearized, selected.version, selected.start[None])
     powers = linearized.whiten(np.concatenate([effect**2, effect**3], axis=1))
     length = np.linalg.norm(powers, axis=0)
@@ -396,8 +400,7 @@ def open_changes(linearized: LinearizedFit, selected: SelectedCause) -> Array:
     The differences from its effect with lambda well within either regime, of each joint and direction by
     itself: those may differ in what they are.
     """
-    version, misfit = selected.version, selected.misfit
-    assert misfit is not None
+    version, misfit = selected.version, selected.test
     if not isinstance(version, StageCause):
         return np.zeros((len(linearized), 0))
     others = dict.fromkeys(

@@ -91,8 +91,7 @@ class Looks:
         self, place: int, selected: SelectedCause, rows: IntArray, rng: np.random.Generator
     ) -> SelectedCause:
         """Unknown structure, as selected without some rows, with the law that these would propose."""
-        test, kept = selected.misfit, np.setdiff1d(np.arange(len(self.selection.problem)), rows)
-        assert test is not None
+        test, kept = selected.test, np.setdiff1d(np.arange(len(self.selection.problem)), rows)
         assert selected.tested is not None
         smooth, memory = rank_forms(test)
         likeliest = {int(np.argmax(test.log_evidence)), *smooth[:1], *memory[:1]}
@@ -185,10 +184,8 @@ class Looks:
     def _is_ahead_of_pairs(self, place: int, without: Misfit) -> bool:
         """Whether unknown structure is likelier than any combination of causes, which lose as many rows."""
         whole, ahead = self.naming[place].misfit, self.selection.law_causes[place].ahead_of_pairs
-        own, share = (
-            without.log_evidence_by_cause[UNKNOWN],
-            np.count_nonzero(without.residual) / len(whole.residual),
-        )
+        own = without.log_evidence_by_cause[UNKNOWN]
+        share = np.count_nonzero(without.residual) / len(whole.residual)
         to_beat = share * (whole.log_evidence_by_cause[UNKNOWN] + PAIR_LOG_PENALTY - ahead)
         least = min(ahead, own + PAIR_LOG_PENALTY - to_beat)
         return bool(least > max(CLEAR_NAME, CLEAR_PAIR_SHARE * own))

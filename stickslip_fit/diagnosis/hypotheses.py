@@ -122,6 +122,10 @@ class Hypothesis:
         """Linear combination of the directions; (m,) -> (n,)."""
         return self.directions @ coefficients
 
+    def explain(self, residual: Array) -> Array:
+        """The part of a residual, shape (n,), along the directions."""
+        return self.combine(self.coefficients(residual))
+
     def leverage(self, kept: Array) -> Array:
         """Leverage of each row if these shares of the directions are subtracted; (m,) -> (n,)."""
         return np.asarray(self.directions**2 @ kept)

@@ -49,7 +49,7 @@ def assess_support(linearized: LinearizedFit, misfit: Misfit, cause: str) -> Sup
     before = _mean_evidence(misfit.log_evidence[places])
     residual = misfit.residual
     free = np.maximum(1.0 - linearized.leverage, 1.0 - MAX_LEVERAGE)
-    influence = best.combine(best.coefficients(residual)) * residual / free
+    influence = best.explain(residual) * residual / free
     rows = np.argsort(-influence)[:MAX_INFLUENTIAL]
     indicators = np.zeros((len(linearized), len(rows)))
     indicators[rows, np.arange(len(rows))] = 1.0

@@ -20,7 +20,7 @@ from stickslip_fit.diagnosis.extension import (
     fit_causes,
     make_selected,
 )
-from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis, compute_effects
+from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, compute_effects
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.misfit import Misfit
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
@@ -79,8 +79,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
         residuals[cause] = after.residual
         left, df = _share_left(misfit, before, after)
         gain = _refit_gain(misfit, cause, left, df)
-        shape = misfit.best_hypothesis(cause)
-        assert isinstance(shape, Hypothesis)
+        shape = misfit.best_subspace(cause)
         has_more_forms = len(shape.prior_share) > len(one.start)
         is_penalised = np.isfinite(fit.prior_sd[len(fit.values) - len(one.start) :]).any()
         if left > 0 and not has_more_forms and not is_penalised:
@@ -173,8 +172,7 @@ def _refit_gain(misfit: Misfit, cause: str, left: float, df: int) -> float:
     Each parameter that the trials had on a grid is now known more closely than the grid's spacing: a gain of
     2 x per parameter means that the spacing is sqrt(2 x) standard errors, of which the prior takes its share.
     """
-    shape = misfit.best_hypothesis(cause)
-    assert isinstance(shape, Hypothesis)
+    shape = misfit.best_subspace(cause)
     whole = misfit.residual @ misfit.residual
     explained = float(np.sum(shape.coefficients(misfit.residual) ** 2) / whole)
     if not (np.isfinite(left) and 0.0 < left < 1.0 - explained):

@@ -212,10 +212,12 @@ class _ForwardSelection:
         searched, names = absorb_unknown(extension, selected), name_explained(selected)
         return assess_residuals(searched, extension[0], self.n_bootstrap, self.rng, names, MAX_EXCEEDANCES)
 
-    def settle(self, extension: Extension, selected: Sequence[SelectedCause]) -> tuple[Extension, Misfit]:
+    def assess_in_less_noise(
+        self, extension: Extension, selected: Sequence[SelectedCause]
+    ) -> tuple[Extension, Misfit]:
         """An extension and its test, in the noise without the structure that this finds."""
         test = self.assess(extension, selected)
-        if test.p_value < self.level and (quieter := _quieten(extension, selected, test)):
+        if test.p_value < self.level and (quieter := _reduce_noise(extension, selected, test)):
             return quieter, self.assess(quieter, selected)
         return extension, test
 
@@ -249,11 +251,11 @@ class _ForwardSelection:
                 self.last = self.assess(extension, chosen)  # something else may be needless
             self.selected, self.extension = chosen, extension
             return False
-        extension, last = self.settle(extension, chosen)
+        extension, last = self.assess_in_less_noise(extension, chosen)
         if chosen[-1].cause == UNKNOWN and last.p_value >= self.level:
-            chosen = self.give_way(chosen, searched)
+            chosen = self.replace_unknown(chosen, searched)
             if chosen[-1].cause != UNKNOWN:
-                extension, last = self.settle(extend_problem(problem, chosen), chosen)
+                extension, last = self.assess_in_less_noise(extend_problem(problem, chosen), chosen)
         if chosen[-1].cause != UNKNOWN:
             chosen, extension, last = self.exchange(chosen, extension, last, refits)
         self.selected, self.extension, self.last = chosen, extension, last
@@ -279,9 +281,11 @@ class _ForwardSelection:
             return [*self.selected, following]
         chosen = [*self.selected, replace(following, ahead_of_pairs=ahead_of_pairs)]
         chosen = propose_term(searched, chosen, problem.expressions, self.rng)
-        return self.give_way(chosen, searched) if _ends_search(chosen[-1], len(problem)) else chosen
+        return self.replace_unknown(chosen, searched) if _ends_search(chosen[-1], len(problem)) else chosen
 
-    def give_way(self, chosen: Sequence[SelectedCause], searched: LinearizedFit) -> list[SelectedCause]:
+    def replace_unknown(
+        self, chosen: Sequence[SelectedCause], searched: LinearizedFit
+    ) -> list[SelectedCause]:
         """A cause in the place of unknown structure that would end the search, if likelier beside such."""
         *others, unknown = chosen
         beside = find_beside_unknown(self.extension[0], searched, unknown, self.level)
@@ -460,7 +464,9 @@ def _estimate_noise_left(
     return explain_unevenness(problem, linearized, misfit, left, noise), left
 
 
-def _quieten(extension: Extension, selected: Sequence[SelectedCause], misfit: Misfit) -> Extension | None:
+def _reduce_noise(
+    extension: Extension, selected: Sequence[SelectedCause], misfit: Misfit
+) -> Extension | None:
     """An extension with the noise that its residuals have without structure, if that is much smaller.
 
     In larger noise the law for that structure would be too smooth.

@@ -48,8 +48,7 @@ MIN_LEFT = 0.01  # share of the square of an alternative's effect that what stan
 
 def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) -> Finding:
     """The finding of unknown structure in the residuals that a selection leaves."""
-    misfit, linearized = selected.misfit, selection.linearized
-    assert misfit is not None
+    misfit, linearized = selected.test, selection.linearized
     evidence = {UNKNOWN: -np.inf} | misfit.log_evidence_by_cause
     # A cause may be likelier that rests on one or two rows, and is not named.
     strongest = UNKNOWN if selected.version is not None else max(evidence, key=lambda name: evidence[name])
@@ -120,8 +119,7 @@ class _Component:
 
 def _size_structure(selection: Selection, selected: SelectedCause, shape: Array, alpha: float) -> Interval:
     """Rms of unknown structure, of which `shape`, (n,), is an estimate, whitened."""
-    problem, misfit = selection.problem, selected.misfit
-    assert misfit is not None
+    problem, misfit = selection.problem, selected.test
     linearized, plain = selection.linearized, linearize_unweighted(selection)
     law, candidates, left = None, _alternatives(misfit, selected.cause), None
     if selected.version is None:
