@@ -343,14 +343,9 @@ def _couple_sessions(
     return [one for one in hypotheses if one is not None]
 
 
-def compute_effects(linearized: LinearizedFit, version: Any, trials: Array) -> Array:
+def compute_effects(linearized: LinearizedFit | SessionFit, version: Any, trials: Array) -> Array:
     """Change of every response, whitened, calibration projected out; trials (m, q) -> (n, m)."""
     return linearized.project(linearized.whiten(compute_changes(linearized, version, trials)))
-
-
-def compute_session_effects(session: SessionFit, version: Any, trials: Array) -> Array:
-    """As `compute_effects`, of a version that acts in one session only; trials (m, q) -> (s, m)."""
-    return session.project(session.whiten(compute_changes(session, version, trials)))
 
 
 def compute_changes(linearized: LinearizedFit | SessionFit, version: Any, trials: Array) -> Array:
