@@ -124,6 +124,11 @@ class LinearizedFit:
         """Project columns onto the orthogonal complement of `basis`, shape (n,) or (n, m)."""
         return columns - self.basis @ (self._basis_transposed @ columns)
 
+    def project_own(self, columns: Array) -> Array:
+        """As `project`, but for the columns of `basis` that all blocks share, shape (n, m)."""
+        own, transposed = self._own_basis
+        return columns - own @ (transposed @ columns)
+
     def unwhiten(self, columns: Array) -> Array:
         """Changes of the responses from whitened ones: the inverse of `whiten`."""
         scale = self.scale if columns.ndim == 1 else self.scale[:, None]
@@ -138,9 +143,14 @@ class LinearizedFit:
         return None if self.noise_filter is None else splu(csc_array(self.noise_filter))
 
     @cached_property
+    def _own_basis(self) -> tuple[csr_array, csr_array]:
+        own = self.basis[:, : sum(columns.shape[1] for _, columns in self.blocks)]
+        return own, csr_array(own.T)
+
+    @cached_property
     def shared_basis(self) -> Array:
         """The columns of `basis` that all blocks share, shape (n, k)."""
-        return self.basis[:, sum(columns.shape[1] for _, columns in self.blocks) :].toarray()
+        return self.basis[:, self._own_basis[0].shape[1] :].toarray()
 
     @property
     def shared(self) -> Array | None:

@@ -14,7 +14,6 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import (
@@ -261,9 +260,6 @@ class _Builder:
 
     def __init__(self, linearized: LinearizedFit) -> None:
         self.linearized = linearized
-        n_own = sum(block.shape[1] for _, block in linearized.blocks)
-        self.basis = linearized.basis[:, :n_own]
-        self.basis_transposed = csr_array(self.basis.T)
         self.shared_basis = linearized.shared_basis
         self.sign = linearized.direction_sign
         joint = linearized.rows["joint"].to_numpy()
@@ -271,14 +267,10 @@ class _Builder:
         session = linearized.rows["session"].astype(object).to_numpy()
         self.session_of = {str(name): session == name for name in dict.fromkeys(session)}
 
-    def project(self, columns: Array) -> Array:
-        """Each block's own calibration projected out, shape (n, m)."""
-        return columns - self.basis @ (self.basis_transposed @ columns)
-
     def effects(self, functions: Array) -> _Effects:
         """Of functions, shape (n, m)."""
         whitened = functions / self.linearized.scale[:, None]
-        return _Effects(whitened, self.project(whitened), np.sum(whitened**2, axis=1))
+        return _Effects(whitened, self.linearized.project_own(whitened), np.sum(whitened**2, axis=1))
 
     def shapes(self, name: str, term: SmoothTerm, effects: _Effects) -> list[Hypothesis]:
         """The ways in which joints and directions may share some functions."""
@@ -385,7 +377,7 @@ class _Builder:
         if not self.linearized.separates_directions:  # then what calibration leaves has rows in both
             signed = np.zeros_like(effects.whitened)
             signed[subset] = own
-            own, subset = self.project(signed), slice(None)
+            own, subset = self.linearized.project_own(signed), slice(None)
         products = own.T @ own
         if self.shared_basis.shape[1]:
             shared = self.shared_basis[subset].T @ own
@@ -404,8 +396,7 @@ class _Builder:
         variance = np.concatenate([part.variance for part in known])
         blocks = tuple((part.rows, part.directions) for part in known)
         length, share = float(np.sqrt(variance.sum())), variance / variance.sum()
-        n = len(self.linearized)
-        shared = self.linearized.shared
+        n, shared = len(self.linearized), self.linearized.shared
         return Hypothesis(
             f"unknown:{name}", version, None, n, blocks, share, length, sign=sign, shared=shared
         )
