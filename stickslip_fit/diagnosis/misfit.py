@@ -272,18 +272,18 @@ def compute_misfit(
     weight = weigh_hypotheses(hypotheses, causes)
     own = batch.log_evidence(linearized.residual[:, None])[:, 0]
     by_cause = average_by_cause(causes, weight, own)
-    statistic, null, share = -np.inf, np.zeros(0), np.nan
+    null, share = np.zeros(0), np.nan
     # In noise that persists, what changes at once and stays so is one row far out, whitened.
     bound = MAX_DEVIATION if linearized.noise_filter is None else np.inf
 
-    def simulate(draw_noise: NoiseSampler, number: int) -> tuple[Array, float]:
-        """The statistic in samples of noise, and the share of at least the log's."""
-        null = np.zeros(0)
+    def simulate(draw_noise: NoiseSampler, number: int, null: Array) -> tuple[Array, float]:
+        """The statistic in samples of noise, after those of `null`, and the share of at least the log's."""
+        before = len(null)
         size = min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), batch.n_coefficients), 1))
         for first in range(0, number, size):
             noise = winsorize(draw_noise(min(size, number - first)), bound)
             null = np.concatenate([null, batch.log_mean_evidence(linearized.project(noise), weight)])
-            if max_exceedances is not None and np.sum(null >= statistic) >= max_exceedances:
+            if max_exceedances is not None and np.sum(null[before:] >= statistic) >= max_exceedances:
                 break
         return null, (1 + int(np.sum(null >= statistic))) / (1 + len(null))
 
@@ -296,18 +296,16 @@ def compute_misfit(
         wild = _make_wild_sampler(linearized, left, rng)
         student = _make_student_sampler(standardized, rng)
         sampler = wild or student
-        null, share = simulate(sampler, n_bootstrap)
+        null, share = simulate(sampler, n_bootstrap, null)
         if 0 < np.sum(null >= statistic) <= FEW_EXCEEDANCES and n_bootstrap < MIN_DECISIVE_SAMPLES:
-            more, _ = simulate(sampler, MIN_DECISIVE_SAMPLES - n_bootstrap)
-            null = np.concatenate([null, more])
-            share = (1 + int(np.sum(null >= statistic))) / (1 + len(null))
+            null, share = simulate(sampler, MIN_DECISIVE_SAMPLES - n_bootstrap, null)
         doubtful = statistic < null.max() + MAX_DOUBTFUL_LOG_EVIDENCE or skewed or quantization is not None
         if wild is not None and p_value_factor * share < MAX_DOUBTFUL_P_VALUE and doubtful:
             number = max(n_bootstrap, MIN_STUDENT_SAMPLES)
             sampler = _make_resampler(standardized, rng) if skewed else student
             if quantization is not None:
                 sampler = _make_rounding_sampler(sampler, quantization)
-            heavy_tailed, its_share = simulate(sampler, number)
+            heavy_tailed, its_share = simulate(sampler, number, null[:0])
             if its_share > share:
                 null, share = heavy_tailed, its_share
     p_value = min(p_value_factor * share, 1.0)
