@@ -134,11 +134,7 @@ class Cause(ABC):
         return np.empty((0, len(values)))
 
     def with_functions(self, sds: tuple[float, ...]) -> Cause | None:
-        """The cause where it has the form of a smooth function of its only column.
-
-        `sds` are the prior standard deviations of the function's coefficients. As it is where that makes no
-        difference; None where such a function is no form of it.
-        """
+        """The cause as a smooth function of its only column, by prior sds; None if that is no form of it."""
         return self
 
     @property
@@ -271,10 +267,8 @@ class TermCause(Cause):
         for k, size in enumerate(self.scale):
             if self.parameters[k].joint in (None, state.joint):
                 width, (before, own, after) = DIFFERENCE_STEP * size, (values[:k], values[k], values[k + 1 :])
-                upper, lower = (
-                    self.term(free, state, [*before, own + sign * width, *after]) for sign in (1, -1)
-                )
-                slopes[k] = (upper - lower) / (2 * width)
+                ends = [self.term(free, state, [*before, own + sign * width, *after]) for sign in (1, -1)]
+                slopes[k] = (ends[0] - ends[1]) / (2 * width)
         return rise / (2 * step), slopes
 
 
