@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.proposed import SMOOTH_SCALE, JointTerm, Mode, PeriodicTerm, SmoothTerm
+from stickslip_fit.causes.proposed import SMOOTH_SCALE, JointTerm, PeriodicTerm, SmoothTerm
 from stickslip_fit.diagnosis.hypotheses import (
     Hypothesis,
     SessionFit,
@@ -48,9 +48,10 @@ def build_unstructured_alternatives(linearized: LinearizedFit) -> Iterator[Hypot
 def _alternatives_in_time(linearized: LinearizedFit) -> Iterator[Hypothesis]:
     """Smooth and periodic in time, alike in all sessions or of each."""
     sessions, rows = list(split_sessions(linearized).values()), linearized.rows
+    n, scale = len(rows), linearized.scale[:, None]
     seconds = rows["session_seconds"].to_numpy(float)
     session = pd.factorize(rows["session"].astype(object))[0]
-    waves = smooth_in_time(seconds, session) / linearized.scale[:, None]
+    waves = smooth_in_time(seconds, session) / scale
     orders = range(1, N_WAVES + 1)
     alike = SmoothTerm(
         ("session_seconds",),
@@ -61,20 +62,17 @@ def _alternatives_in_time(linearized: LinearizedFit) -> Iterator[Hypothesis]:
     name = "unknown:time, the same in each session"
     if one := make_hypothesis(name, alike, None, linearized.project(waves)):
         yield one
-
-    def of_sessions(name: str, effects: Array, term: SmoothTerm) -> list[Hypothesis]:
-        found = build_per_session_hypotheses([name], len(rows), sessions, effects[:, None])
-        return [replace(one, version=term) for one in found]
-
     own = replace(alike, sessions=tuple(map(str, dict.fromkeys(rows["session"].astype(object)))))
-    yield from of_sessions("unknown:time", waves, own)
+    yield from build_per_session_hypotheses(["unknown:time"], n, sessions, waves[:, None], [own])
     columns, terms = [], []
     for joint in map(int, rows["joint"].unique()):
         columns.append(waves * (rows["joint"] == joint).to_numpy()[:, None])
         terms.append(replace(own, on=((joint, "+"), (joint, "-"))))
-        yield from of_sessions(f"unknown:time, joint {joint}", columns[-1], terms[-1])
+        name = f"unknown:time, joint {joint}"
+        yield from build_per_session_hypotheses([name], n, sessions, columns[-1][:, None], [terms[-1]])
     if len(terms) > 1:
-        yield from of_sessions("unknown:time, each joint", np.concatenate(columns, 1), JointTerm.of(terms))
+        effects, each = np.concatenate(columns, axis=1)[:, None], JointTerm.of(terms)
+        yield from build_per_session_hypotheses(["unknown:time, each joint"], n, sessions, effects, [each])
     for clock in ("session_seconds", "session_order"):
         yield from _periodic_alternatives(linearized, sessions, clock)
 
@@ -84,26 +82,25 @@ def _periodic_alternatives(
 ) -> list[Hypothesis]:
     """Waves in time or in the number of traverses, each session's its own, alike or opposite by direction."""
     rows = linearized.rows
-    session, labels = pd.factorize(rows["session"].astype(object))
+    session, names = pd.factorize(rows["session"].astype(object))
     values = rows[clock].to_numpy(float)
     periods = choose_periods(values, session)
     pairs = _cosines_and_sines(values, 1.0 / periods) * (SMOOTH_SCALE / linearized.scale)[:, None, None]
     sign = linearized.direction_sign
-    plain = PeriodicTerm((clock,), ((0.0, float(values.max())),), sessions=tuple(map(str, labels)))
-    numbers = [str(number) for number in range(len(periods))]
-    alike = build_per_session_hypotheses(numbers, len(rows), sessions, pairs)
-    forms: list[tuple[Mode, list[Hypothesis], Array | None]] = [("same", alike, None)]
+    plain = PeriodicTerm((clock,), ((0.0, float(values.max())),), sessions=tuple(map(str, names)))
+    same = [replace(plain, period=period) for period in periods.tolist()]
+    alike = build_per_session_hypotheses(_names(same), len(rows), sessions, pairs, same)
     if linearized.allows_opposite:
-        forms.append(("opposite", alike, sign))
-    else:
-        pairs = pairs * sign[:, None, None]
-        forms.append(("opposite", build_per_session_hypotheses(numbers, len(rows), sessions, pairs), None))
-    found = []
-    for mode, ones, own_sign in forms:
-        for one in ones:
-            wave = replace(plain, period=float(periods[int(one.cause)]), mode=mode)
-            found.append(replace(one, cause=f"unknown:{wave}", version=wave, sign=own_sign))
-    return found
+        opposite = [replace(one.version, mode="opposite") for one in alike]
+        turned = zip(alike, _names(opposite), opposite, strict=True)
+        return [*alike, *(replace(one, cause=name, version=own, sign=sign) for one, name, own in turned)]
+    opposite, turned_pairs = [replace(one, mode="opposite") for one in same], pairs * sign[:, None, None]
+    names = _names(opposite)
+    return [*alike, *build_per_session_hypotheses(names, len(rows), sessions, turned_pairs, opposite)]
+
+
+def _names(versions: Iterable[PeriodicTerm]) -> list[str]:
+    return [f"unknown:{version}" for version in versions]
 
 
 def _cosines_and_sines(clock: Array, frequencies: Array) -> Array:

@@ -281,14 +281,19 @@ def build_session_hypotheses(
 
 
 def build_per_session_hypotheses(
-    names: Sequence[str], n: int, sessions: Sequence[SessionFit], effects: Array
+    names: Sequence[str],
+    n: int,
+    sessions: Sequence[SessionFit],
+    effects: Array,
+    versions: Sequence[Any] | None = None,
 ) -> list[Hypothesis]:
-    """A hypothesis of each name, without a version, with independent coefficients in every session.
+    """A hypothesis of each name and version, with independent coefficients in every session.
 
     `n` is the number of rows; `effects`, shape (n, number of names, w), are whitened.
     """
+    versions = [None] * len(names) if versions is None else versions
     if sessions[0].shared_basis.shape[1] and 1 < len(sessions) <= MAX_COUPLED_SESSIONS:
-        return _couple_sessions(names, n, sessions, effects)
+        return _couple_sessions(names, n, sessions, effects, versions)
     directions, variances = [], []
     for session in sessions:
         flat = session.project(effects[session.rows].reshape(len(session), -1))
@@ -315,13 +320,13 @@ def build_per_session_hypotheses(
             for session, own, inside in zip(sessions, directions, kept[k], strict=True)
         )
         share, length = variance[k][kept[k]] / total[k], float(np.sqrt(total[k]))
-        one = Hypothesis(names[k], None, None, n, blocks, share, length, shared=sessions[0].shared)
+        one = Hypothesis(names[k], versions[k], None, n, blocks, share, length, shared=sessions[0].shared)
         hypotheses.append(one)
     return hypotheses
 
 
 def _couple_sessions(
-    names: Sequence[str], n: int, sessions: Sequence[SessionFit], effects: Array
+    names: Sequence[str], n: int, sessions: Sequence[SessionFit], effects: Array, versions: Sequence[Any]
 ) -> list[Hypothesis]:
     """As `build_per_session_hypotheses`, with what all sessions share projected out of all of them together.
 
@@ -334,12 +339,12 @@ def _couple_sessions(
         for session in sessions
     ]
     hypotheses = []
-    for k, name in enumerate(names):
+    for k, (name, version) in enumerate(zip(names, versions, strict=True)):
         own = np.zeros((n, len(sessions), effects.shape[2]))
         for place, (session, columns) in enumerate(zip(sessions, projected, strict=True)):
             own[session.rows, place] = columns[:, k]
         columns = own.reshape(n, -1)
-        hypotheses.append(make_hypothesis(name, None, None, columns - shared @ (shared.T @ columns)))
+        hypotheses.append(make_hypothesis(name, version, None, columns - shared @ (shared.T @ columns)))
     return [one for one in hypotheses if one is not None]
 
 
