@@ -84,7 +84,7 @@ def rank_forms(misfit: Misfit) -> tuple[list[int], list[int]]:
     """Places of what may follow unknown structure, the likeliest first: smooth functions, autoregressions."""
     places, shapes = np.argsort(-misfit.log_evidence, kind="stable").tolist(), misfit.hypotheses
     memory = [k for k in places if isinstance(shapes[k], AR1)]
-    smooth = [k for k in places if classify_cause(shapes[k]) == UNKNOWN and shapes[k].version is not None]
+    smooth = [k for k in places if shapes[k].version is not None and classify_cause(shapes[k]) == UNKNOWN]
     return smooth, memory
 
 
