@@ -66,7 +66,6 @@ FUNCTIONS: dict[str, tuple[Numpy, Derivatives]] = {
     "min": (np.minimum, lambda f, x, y: (f["step"](y - x), f["step"](x - y))),
     "max": (np.maximum, lambda f, x, y: (f["step"](x - y), f["step"](y - x))),
 }
-JUMPS = ("sign", "step", "heaviside")  # whose derivative does not tell that they change
 _POWERS: dict[str, tuple[Numpy, Derivatives]] = {
     "**": (np.power, lambda f, x, a: (a * f["**"](x, a - 1), f["** by exponent"](x, a))),
     "** by exponent": (_power_by_exponent, lambda f, x, a: (0, 0)),  # of which none is ever taken
@@ -457,8 +456,9 @@ def _compile(expression: Expression, by: tuple[str, ...]) -> _Tape:
 
 @lru_cache(maxsize=512)
 def _slopes_that_move(expression: Expression, by: tuple[str, ...]) -> BoolArray:
-    kinds = [_algebra().functions[name] for name in JUMPS]
-    together = [{symbol.name for symbol in node.free_symbols} for node in expression.node.atoms(*kinds)]
+    functions = expression.node.atoms(_algebra().sympy.Function)
+    jumps = [node for node in functions if not any(map(node.fdiff, range(1, len(node.args) + 1)))]
+    together = [{symbol.name for symbol in node.free_symbols} for node in jumps]
     slopes = [{symbol.name for symbol in expression.derivative(name).free_symbols} for name in by]
     moves = np.zeros((len(by), len(by)), dtype=bool)
     for (i, one), (j, other) in product(enumerate(by), repeat=2):

@@ -1,4 +1,4 @@
-"""Distinct rows of an array of numbers."""
+"""Distinct rows of an array of numbers, and the places of rows among those of their kind."""
 
 from __future__ import annotations
 
@@ -26,3 +26,18 @@ def unique_rows[T: np.generic](rows: npt.NDArray[T]) -> tuple[npt.NDArray[T], In
     which = np.empty(len(rows), dtype=np.intp)
     which[order] = np.cumsum(first) - 1
     return ordered[first], which
+
+
+def rank_within(kinds: npt.NDArray[np.integer]) -> IntArray:
+    """Number of elements of the same kind before each, shape (n,).
+
+    Examples
+    --------
+    >>> rank_within(np.array([3, 1, 3, 3])).tolist()
+    [0, 0, 1, 2]
+    """
+    order = np.argsort(kinds, kind="stable")
+    first = np.flatnonzero(np.diff(kinds[order], prepend=-1))
+    rank = np.empty(len(kinds), dtype=np.intp)
+    rank[order] = np.arange(len(kinds)) - np.repeat(first, np.diff(first, append=len(kinds)))
+    return rank

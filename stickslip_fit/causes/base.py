@@ -87,8 +87,6 @@ class Cause(ABC):
         What the search for it leaves out, as a sentence; empty where it leaves out nothing.
     share_where_noise_persists : float
         How much of it counts as larger than noise whose autocorrelation is known within an error.
-    owns_functions : bool
-        Whether a smooth function of its only column is a form of it, only more flexible.
     """
 
     name: ClassVar[str]
@@ -114,7 +112,6 @@ class Cause(ABC):
     max_panel: float = np.inf
     search_note: ClassVar[str] = ""
     share_where_noise_persists: ClassVar[float] = 1.0
-    owns_functions: ClassVar[bool] = True
 
     @cached_property
     def null_values(self) -> tuple[float, ...]:
@@ -135,6 +132,10 @@ class Cause(ABC):
     def finer_trials(self, rows: pd.DataFrame, values: Array) -> Array:
         """Values that lie between those of `trials`, about some of shape (q,); (m, q), none as a rule."""
         return np.empty((0, len(values)))
+
+    def with_functions(self, sds: tuple[float, ...]) -> Cause | None:
+        """The cause as a smooth function of its only column, by prior sds; None if that is no form of it."""
+        return self
 
     @property
     def start_values(self) -> tuple[float, ...]:
@@ -266,10 +267,8 @@ class TermCause(Cause):
         for k, size in enumerate(self.scale):
             if self.parameters[k].joint in (None, state.joint):
                 width, (before, own, after) = DIFFERENCE_STEP * size, (values[:k], values[k], values[k + 1 :])
-                upper, lower = (
-                    self.term(free, state, [*before, own + sign * width, *after]) for sign in (1, -1)
-                )
-                slopes[k] = (upper - lower) / (2 * width)
+                ends = [self.term(free, state, [*before, own + sign * width, *after]) for sign in (1, -1)]
+                slopes[k] = (ends[0] - ends[1]) / (2 * width)
         return rise / (2 * step), slopes
 
 

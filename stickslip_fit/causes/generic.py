@@ -18,6 +18,7 @@ import pandas as pd
 
 from stickslip_fit._format import choose_time_unit
 from stickslip_fit._typing import Array
+from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.parameters import (
     CauseParameter,
     SizedParameter,
@@ -399,8 +400,8 @@ class ColumnDependence(CovariateCause, AddedTerm):
         versions = [self, *([replace(self, order=most)] if most > self.order else [])]
         return [(one, np.diag(one._sizes)) for one in versions]
 
-    def as_smooth(self, sds: tuple[float, ...]) -> SmoothColumnDependence:
-        """The same cause as a smooth function, of which `sds` are as of `SmoothColumnDependence`."""
+    def with_functions(self, sds: tuple[float, ...]) -> Cause | None:
+        """See `Cause.with_functions`."""
         own = {one.name: getattr(self, one.name) for one in fields(ColumnDependence)}
         return SmoothColumnDependence(**own, sds=sds)
 
@@ -460,6 +461,7 @@ class PositionDependence(ColumnDependence):
     sentence = "The response depends on the position {column}{opposite}"
     base_name = "position"
     remedy = "staying in one part of the range"
+    with_functions = Cause.with_functions
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -368,8 +368,6 @@ class IntegerDependence(ColumnDependence):
 
     as_labels: LabelDependence
 
-    owns_functions = False  # the labels are its most flexible form
-
     def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
         """See `GenericCause`: a simple curve, and those of labels, as a curve that bends more is."""
         labelled = self.as_labels.trials(rows)
@@ -377,6 +375,9 @@ class IntegerDependence(ColumnDependence):
             return labelled
         quantity = ColumnDependence(**{one.name: getattr(self, one.name) for one in fields(ColumnDependence)})
         return [*quantity.trials(rows)[:1], *labelled]
+
+    def with_functions(self, sds: tuple[float, ...]) -> None:
+        """See `Cause.with_functions`: the labels are its most flexible form."""
 
 
 def level_causes(

@@ -9,8 +9,8 @@ follows what the step size of the traverse before had beyond its law.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, Self
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, Self
 
 import numpy as np
 import pandas as pd
@@ -194,6 +194,14 @@ class JointTerm(SmoothTerm):
 
     name = "smooth-joint-term"
     phrase = "steps of each joint follow something smoothly that no cause describes"
+
+    @classmethod
+    def of(cls, terms: Sequence[SmoothTerm], **attributes: Any) -> Self:
+        """The terms of several joints, which have the same functions otherwise, as one."""
+        shared = {one.name: getattr(terms[0], one.name) for one in fields(terms[0])}
+        shared["on"] = tuple(place for one in terms for place in one.on)
+        shared["sessions"] = tuple(dict.fromkeys(name for one in terms for name in one.sessions))
+        return cls(**shared, **attributes)
 
     @property
     def _groups(self) -> tuple[tuple[tuple[int, str], ...], ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import chain
 from typing import Any
 
@@ -12,9 +12,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.generic import ColumnDependence
 from stickslip_fit.causes.proposed import SMOOTH_SCALE, JointTerm, PeriodicTerm, SmoothTerm
-from stickslip_fit.causes.table_terms import SmoothTableTerm
 from stickslip_fit.diagnosis.hypotheses import (
     Hypothesis,
     SessionFit,
@@ -66,17 +64,15 @@ def _alternatives_in_time(linearized: LinearizedFit) -> Iterator[Hypothesis]:
         yield one
     own = replace(alike, sessions=tuple(map(str, dict.fromkeys(rows["session"].astype(object)))))
     yield from build_per_session_hypotheses(["unknown:time"], n, sessions, waves[:, None], [own])
-    joints = list(map(int, rows["joint"].unique()))
-    inside = [waves * (rows["joint"] == joint).to_numpy()[:, None] for joint in joints]
-    on = [((joint, "+"), (joint, "-")) for joint in joints]
-    for joint, ways, columns in zip(joints, on, inside, strict=True):
-        of_joint, name = replace(own, on=ways), f"unknown:time, joint {joint}"
-        yield from build_per_session_hypotheses([name], n, sessions, columns[:, None], [of_joint])
-    if len(joints) > 1:
-        shared = {field.name: getattr(own, field.name) for field in fields(own)}
-        each = JointTerm(**shared | {"on": tuple(chain(*on))})
-        columns = np.concatenate(inside, axis=1)[:, None]
-        yield from build_per_session_hypotheses(["unknown:time, each joint"], n, sessions, columns, [each])
+    columns, terms = [], []
+    for joint in map(int, rows["joint"].unique()):
+        columns.append(waves * (rows["joint"] == joint).to_numpy()[:, None])
+        terms.append(replace(own, on=((joint, "+"), (joint, "-"))))
+        name = f"unknown:time, joint {joint}"
+        yield from build_per_session_hypotheses([name], n, sessions, columns[-1][:, None], [terms[-1]])
+    if len(terms) > 1:
+        effects, each = np.concatenate(columns, axis=1)[:, None], JointTerm.of(terms)
+        yield from build_per_session_hypotheses(["unknown:time, each joint"], n, sessions, effects, [each])
     for clock in ("session_seconds", "session_order"):
         yield from _periodic_alternatives(linearized, sessions, clock)
 
@@ -137,11 +133,9 @@ def attribute_to_causes(
         cause = owner.get(one.cause.removeprefix("unknown:"))
         if one.cause in without:
             continue
-        if cause is None or not isinstance(one, Hypothesis):
+        if cause is None or one.version is None:
             attributed.append(one)
-        elif cause.name not in without and cause.owns_functions:
-            is_smooth = type(cause) is ColumnDependence and isinstance(one.version, SmoothTableTerm)
-            version = cause.as_smooth(one.version.sds) if is_smooth else cause
+        elif cause.name not in without and (version := cause.with_functions(one.version.sds)):
             attributed.append(replace(one, cause=cause.name, version=version, values=None))
     return attributed
 

@@ -55,16 +55,11 @@ class CauseSet:
 def form_cause_set(misfit: Misfit, chosen: str | None = None) -> CauseSet:
     """The best cause, or the `chosen` one, and its rivals."""
     evidence = misfit.log_evidence_by_cause
-    known = {cause: value for cause, value in evidence.items() if cause != UNKNOWN}
-    best = max(known, key=lambda cause: known[cause]) if known else UNKNOWN
-    if known and evidence.get(UNKNOWN, -np.inf) > known[best]:
-        best = UNKNOWN
-    best = chosen or best
+    best = chosen or next(iter(misfit.rank_causes(evidence.get(UNKNOWN, -np.inf))), UNKNOWN)
     rivals: tuple[str, ...] = ()
     if best != UNKNOWN:
-        floor = known[best] - CAUSE_SET_LOG_BAYES_FACTOR
-        close = [cause for cause, value in known.items() if cause != best and value > floor]
-        rivals = tuple(sorted(close, key=lambda cause: -known[cause]))
+        floor = evidence[best] - CAUSE_SET_LOG_BAYES_FACTOR
+        rivals = tuple(misfit.rank_causes(floor, [best]))
     probability = cause_probabilities(evidence)
     if chosen is not None:
         probability = {cause: p * (cause in (best, *rivals)) for cause, p in probability.items()}

@@ -11,27 +11,26 @@ another cause added to these (`find_exchange`). At the end, causes that the othe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import pandas as pd
 from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array
-from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR, form_cause_set, limit_evidence
+from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR, form_cause_set
+from stickslip_fit.diagnosis.evidence import batch_hypotheses, strength_evidence
 from stickslip_fit.diagnosis.extension import (
     Extension,
     SelectedCause,
     absorb_unknown,
     compute_evidence,
     extend_problem,
-    fit_causes,
     make_selected,
     name_explained,
 )
-from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis, compute_effects, make_hypothesis
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1
@@ -40,19 +39,22 @@ from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
     Misfit,
     average_by_cause,
-    batch_hypotheses,
     classify_cause,
-    strength_evidence,
     weigh_hypotheses,
 )
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
+from stickslip_fit.diagnosis.refits import (
+    MIN_REFIT_LOG_BAYES_FACTOR,
+    MIN_REFIT_SHARE,
+    Refits,
+    penalised_likelihood,
+    refit_likeliest,
+)
 
 # Nats: evidence of a cause to be tried as the first of a pair, and by how much a pair must be likelier than
 # unknown structure; the number of causes that are tried.
 PAIR_MIN_LOG_BAYES_FACTOR, PAIR_LOG_PENALTY, MAX_PAIR_TRIALS = 3.0, 3.0, 3
-# Nats of a cause that is refitted before one is named, and the share of the largest evidence that it has.
-MIN_REFIT_LOG_BAYES_FACTOR, MIN_REFIT_SHARE = 10.0, 0.3
 MAX_LIKELY_SHAPES = 6  # of unknown structure, beside which causes are looked for
 
 
@@ -85,10 +87,9 @@ def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], 
     The sum of two effects is in the span of neither, so that alone each loses to unknown structure.
     """
     evidence = misfit.log_evidence_by_cause
-    causes = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] > PAIR_MIN_LOG_BAYES_FACTOR]
     best, highest = None, evidence[UNKNOWN] + PAIR_LOG_PENALTY
     pairs: list[tuple[float, list[SelectedCause]]] = []
-    causes = sorted(causes, key=lambda cause: -evidence[cause])[:MAX_PAIR_TRIALS]
+    causes = misfit.rank_causes(PAIR_MIN_LOG_BAYES_FACTOR)[:MAX_PAIR_TRIALS]
     lacking = [np.inf]
     if problem.autocorrelation is None and causes:
         # Linearized: the third of three causes adds no more than the second.
@@ -130,8 +131,7 @@ def find_beside_unknown(
     where it is much larger than the noise, nothing shows beside it until it is in the law. The margin is as
     of `find_exchange`.
     """
-    misfit = unknown.misfit
-    assert misfit is not None
+    misfit = unknown.test
     tests = _test_beside_unknown(misfit, searched.df) if problem.autocorrelation is None else []
     if not tests:
         return PairSearch(None)
@@ -257,7 +257,6 @@ def find_exchange(
     a cause set, each of the causes that might be C being equally likely beforehand.
     """
     *others, current = selected
-    assert current.misfit is not None
     left_over = max(0.0, max(last.log_evidence_by_cause.values(), default=0.0))
     n_causes = max(len(last.log_evidence_by_cause), 1)
     margin = float(np.log(problem.n_refits * n_causes / level))
@@ -269,7 +268,7 @@ def find_exchange(
     as_likely = own + float(np.log(n_causes)) - CAUSE_SET_LOG_BAYES_FACTOR
     best, likelihoods = None, dict[str, float]()
     for rival in rivals:
-        one = make_selected(current.misfit, form_cause_set(current.misfit, rival), refits.starts)
+        one = make_selected(current.test, form_cause_set(current.test, rival), refits.starts)
         extension = refits.extensions.get(rival) or extend_problem(problem, [*others, one])
         left, _, unknown = _next_cause(extension, [*others, one], [current.cause])
         alone = penalised_likelihood(*extension[:2])
@@ -291,11 +290,8 @@ def find_exchange(
 
 def _likely_seconds(misfit: Misfit, unknown: float, problem: DiagnosisProblem) -> list[str]:
     """Causes to be fitted beside a rival: the likeliest, or a few where the noise depends on them."""
-    evidence = misfit.log_evidence_by_cause
-    least = max(unknown, PAIR_MIN_LOG_BAYES_FACTOR)
-    likely = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] >= least]
     number = 1 if problem.autocorrelation is None else problem.n_refits
-    return sorted(likely, key=lambda cause: -evidence[cause])[:number]
+    return misfit.rank_causes(max(unknown, PAIR_MIN_LOG_BAYES_FACTOR))[:number]
 
 
 def _close_rivals(current: SelectedCause, ahead: float, problem: DiagnosisProblem) -> list[str]:
@@ -303,12 +299,10 @@ def _close_rivals(current: SelectedCause, ahead: float, problem: DiagnosisProble
 
     Where the noise does not depend on the causes, the linearized effects already say whether they might be.
     """
-    misfit = current.misfit
-    assert misfit is not None
+    misfit = current.test
     evidence = misfit.log_evidence_by_cause
     least = max(MIN_REFIT_SHARE * evidence[current.cause], MIN_REFIT_LOG_BAYES_FACTOR)
-    close = [cause for cause in evidence if cause not in (UNKNOWN, current.cause) and evidence[cause] > least]
-    close = sorted(close, key=lambda cause: -evidence[cause])[: problem.n_refits]
+    close = misfit.rank_causes(least, [current.cause])[: problem.n_refits]
     if problem.autocorrelation is not None or not close:
         return close
     added = _evidence_added(misfit, close, problem.linearize().df, [current.cause])
@@ -328,19 +322,8 @@ def _evidence_added(
 
 def _without(misfit: Misfit, cause: str) -> Array:
     """The residuals without all that a cause's likeliest shape explains, shape (n,)."""
-    shape = misfit.best_hypothesis(cause)
-    assert isinstance(shape, Hypothesis)
-    return np.asarray(misfit.residual - shape.combine(shape.coefficients(misfit.residual)))
-
-
-def penalised_likelihood(problem: DiagnosisProblem, fit: ExtendedFit) -> float:
-    """Log likelihood of laws with causes, less what the Bayesian information criterion takes.
-
-    It counts the causes' parameters, of those with a prior only what the data determine. The coefficients of
-    the noise are no part of the law.
-    """
-    determined = 1.0 - np.diag(fit.covariance) / fit.prior_sd**2
-    return problem.log_likelihood(fit) - 0.5 * float(np.sum(determined)) * float(np.log(len(problem)))
+    shape = misfit.best_subspace(cause)
+    return np.asarray(misfit.residual - shape.explain(misfit.residual))
 
 
 def name_combinations(
@@ -412,147 +395,3 @@ def find_needless(
             found.append((likelihood, others, extension))
     found.sort(key=lambda one: -one[0])
     return [(others, extension) for _, others, extension in found]
-
-
-@dataclass(frozen=True, eq=False)
-class Refits:
-    """A test whose likeliest causes were refitted.
-
-    Attributes
-    ----------
-    misfit : Misfit
-        With their evidence after the refit.
-    starts : dict of str to array
-        Values of their parameters then.
-    extensions : dict of str to (DiagnosisProblem, ExtendedFit, LinearizedFit)
-        As of `extend_problem`, where the noise was re-estimated as well.
-    failed : tuple of str
-        Causes whose fit failed; the test no longer has them.
-    """
-
-    misfit: Misfit
-    starts: dict[str, Array]
-    extensions: dict[str, Extension]
-    failed: tuple[str, ...] = ()
-
-
-def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit) -> Refits:
-    """The test with the evidence of its likeliest causes after a refit of each.
-
-    The squared residuals that a refit leaves take the place of those that the best trial would leave, at the
-    price of the parameters that are no longer the trial's (`_refit_gain`). In a sampled signal the
-    likelihoods decide between causes that are refitted, each under the autocorrelation of the noise that it
-    leaves.
-    """
-    evidence, starts = dict(misfit.log_evidence_by_cause), dict[str, Array]()
-    extensions: dict[str, Extension] = {}
-    failed: list[str] = []
-    least = max(MIN_REFIT_SHARE * max(evidence.values(), default=0.0), MIN_REFIT_LOG_BAYES_FACTOR)
-    known = [cause for cause in evidence if cause != UNKNOWN and evidence[cause] > least]
-    known.sort(key=lambda cause: -evidence[cause])
-    likeliest = known[: problem.n_refits]
-    if not likeliest:
-        return Refits(misfit, starts, extensions)
-    before, likelihoods = problem.linearize_extended(fit_causes(problem, selected)), dict[str, float]()
-    fits: dict[str, ExtendedFit] = {}
-    for cause in likeliest:
-        trial = make_selected(misfit, form_cause_set(misfit, cause))
-        one = refine_trial(trial, before)
-        try:
-            fit = fit_causes(problem, [*selected, one])
-            after = problem.linearize_extended(fit)
-        except np.linalg.LinAlgError:
-            failed.append(cause)
-            continue
-        fits[cause] = fit
-        left, df = _share_left(misfit, before, after)
-        gain = _refit_gain(misfit, cause, left, df)
-        shape = misfit.best_hypothesis(cause)
-        assert isinstance(shape, Hypothesis)
-        has_more_forms = len(shape.prior_share) > len(one.start)
-        is_penalised = np.isfinite(fit.prior_sd[len(fit.values) - len(one.start) :]).any()
-        if left > 0 and not has_more_forms and not is_penalised:
-            # No more than the best fit within the bounds; of a smooth cause this one is penalised.
-            evidence[cause] = min(evidence[cause], max(-0.5 * df * float(np.log(left)), 0.0))
-        evidence[cause] += gain
-        if gain > 0 or one is not trial:
-            starts[cause] = fit.values[len(fit.values) - len(one.start) :]
-        if problem.autocorrelation is not None and len(likeliest) > 1:
-            one = replace(one, start=starts.get(cause, one.start))
-            extensions[cause] = extended, fit, _ = extend_problem(problem, [*selected, one])
-            likelihoods[cause] = penalised_likelihood(extended, fit)
-    if likelihoods:
-        highest, best = max(evidence[cause] for cause in likelihoods), max(likelihoods.values())
-        evidence |= {cause: highest + likelihoods[cause] - best for cause in likelihoods}
-    evidence = {cause: value for cause, value in evidence.items() if cause not in failed}
-    evidence, inconsistent = _compare_sessions(problem, evidence, fits, extensions)
-    left_over = replace(misfit, log_evidence_by_cause=evidence, inconsistent=inconsistent)
-    return Refits(left_over, starts, extensions, tuple(failed))
-
-
-def _compare_sessions(
-    problem: DiagnosisProblem,
-    evidence: dict[str, float],
-    fits: Mapping[str, ExtendedFit],
-    extensions: Mapping[str, Extension],
-) -> tuple[dict[str, float], tuple[str, ...]]:
-    """The evidence of causes, that of rivals limited where these are no less likely, neither being right."""
-    if len(fits) < 2:
-        return evidence, ()
-    best = max(fits, key=evidence.__getitem__)
-    if best in extensions:  # in the noise that it leaves
-        problem, fits = extensions[best][0], {cause: extensions[cause][1] for cause in fits}
-    session = pd.factorize(problem.rows["session"].astype(object))[0]
-    residuals = {cause: problem.linearize_extended(fit).residual for cause, fit in fits.items()}
-    ahead = {cause: evidence[best] - evidence[cause] for cause in fits}
-    limited = {
-        cause: limit_evidence(ahead[cause], residuals[best], own, session)
-        for cause, own in residuals.items()
-        if ahead[cause] > 0
-    }
-    inconsistent = tuple(
-        cause for cause in limited if limited[cause] < min(ahead[cause], CAUSE_SET_LOG_BAYES_FACTOR)
-    )
-    return evidence | {cause: evidence[best] - limited[cause] for cause in inconsistent}, inconsistent
-
-
-def refine_trial(one: SelectedCause, before: LinearizedFit) -> SelectedCause:
-    """A cause whose start values are the best of its finer trials, if it has any."""
-    finer = getattr(one.version, "finer_trials", None)
-    if finer is None or not len(one.start) or not len(trials := finer(before.rows, one.start)):
-        return one
-    effects = compute_effects(before, one.version, trials)
-    length = np.sqrt(np.sum(effects**2, axis=0))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        explained = np.where(length > EFFECT_TOL, before.residual @ effects / length, 0.0)
-    return replace(one, start=trials[int(np.argmax(explained))])
-
-
-def _share_left(misfit: Misfit, before: LinearizedFit, after: LinearizedFit) -> tuple[float, int]:
-    """Squared residuals after a refit over those before it, and the degrees of freedom of the latter.
-
-    Of both without the other forms of causes in the law, if the test was without them.
-    """
-    residuals, df = np.stack([before.residual, after.residual], axis=1), before.df
-    if misfit.basis is not None and misfit.basis.shape[1] > before.basis.shape[1]:
-        residuals = residuals - misfit.basis @ (misfit.basis.T @ residuals)
-        df = len(residuals) - misfit.basis.shape[1]
-    first, last = np.sum(residuals**2, axis=0)
-    return float(last / first), df
-
-
-def _refit_gain(misfit: Misfit, cause: str, left: float, df: int) -> float:
-    """By how many nats a refit that leaves this share of the squared residuals is likelier than a trial.
-
-    Each parameter that the trials had on a grid is now known more closely than the grid's spacing: a gain of
-    2 x per parameter means that the spacing is sqrt(2 x) standard errors, of which the prior takes its share.
-    """
-    shape = misfit.best_hypothesis(cause)
-    assert isinstance(shape, Hypothesis)
-    whole = misfit.residual @ misfit.residual
-    explained = float(np.sum(shape.coefficients(misfit.residual) ** 2) / whole)
-    if not (np.isfinite(left) and 0.0 < left < 1.0 - explained):
-        return 0.0
-    gain = 0.5 * df * float(np.log((1.0 - explained) / left))
-    on_grid = max(len(shape.version.start_values) - len(shape.prior_share), 0)
-    return gain - 0.5 * on_grid * float(np.log1p(2.0 * gain / max(on_grid, 1)))

@@ -17,7 +17,6 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.proposed import CarryOverTerm
-from stickslip_fit.diagnosis.combinations import refine_trial
 from stickslip_fit.diagnosis.extension import DEPARTURE_PASSES, SelectedCause, fit_causes
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.fold_selection import Looks
@@ -30,6 +29,7 @@ from stickslip_fit.diagnosis.linearized import (
 )
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
+from stickslip_fit.diagnosis.refits import refine_trial
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.estimation._groups import Groups, group_rows
 from stickslip_fit.estimation._optimize import minimize
@@ -205,11 +205,8 @@ class _FoldInformation:
     def try_add(self, kind: _KindInformation) -> bool:
         """Hold the rows of a kind out, too, if every parameter stays determined."""
         blocks = kind.blocks
-        own, cross, effect = (
-            self.own[blocks] + kind.own,
-            self.cross[blocks] + kind.cross,
-            self.effect[blocks] + kind.effect,
-        )
+        own, cross = self.own[blocks] + kind.own, self.cross[blocks] + kind.cross
+        effect = self.effect[blocks] + kind.effect
         # The trace bounds the largest eigenvalue.
         bound = np.trace(own, axis1=1, axis2=2).max()
         if bound >= MAX_UNKNOWN_SHARE and np.linalg.eigvalsh(own).max() >= MAX_UNKNOWN_SHARE:
@@ -218,12 +215,8 @@ class _FoldInformation:
         left = self.remaining_strength + np.sum(self.lost[blocks] - lost, axis=0)
         if np.any(left < self.min_strength):
             return False
-        self.own[blocks], self.cross[blocks], self.effect[blocks], self.lost[blocks] = (
-            own,
-            cross,
-            effect,
-            lost,
-        )
+        self.own[blocks], self.cross[blocks] = own, cross
+        self.effect[blocks], self.lost[blocks] = effect, lost
         self.remaining_strength[:] = left
         return True
 
@@ -351,8 +344,7 @@ def extend_by_steps(
         if len(chosen) == len(causes):
             yield versions, selection.fit
         else:
-            start = np.concatenate([np.zeros(0), *(one.start for one in chosen)])
-            yield versions, selection.problem.fit_extended(versions, start)
+            yield versions, fit_causes(selection.problem, chosen)
 
 
 def match_findings(causes: Sequence[SelectedCause], findings: Sequence[Finding]) -> list[int]:

@@ -105,8 +105,8 @@ def estimate_effect(
 
     `linearized` is the baseline.
     """
-    fit = _refit(selection)
-    values, covariance = fit.values[place], fit.covariance[place, place]
+    every_value, every_covariance = _refit(selection)
+    values, covariance = every_value[place], every_covariance[place, place]
     steps = DIFFERENCE_STEP * np.array(selected.version.scale)
     trials = np.concatenate([values[None], values + np.diag(steps)])
     plain = linearize_unweighted(selection)
@@ -156,36 +156,23 @@ def _memory_of(selected: SelectedCause) -> AR1 | None:
     return best if isinstance(best, AR1) else None
 
 
-@dataclass(frozen=True, eq=False)
-class _Refit:
-    """Parameters of all causes in the law.
+def _refit(selection: Selection) -> tuple[Array, Array]:
+    """Parameters of all causes, (q,), and their covariance, (q, q), in the noise as it is expected now.
 
-    Attributes
-    ----------
-    values : array, shape (q,)
-    covariance : array, shape (q, q)
-    """
-
-    values: Array
-    covariance: Array
-
-
-def _refit(selection: Selection) -> _Refit:
-    """One Gauss-Newton step from the fit of the selection, by the noise as it is expected now.
-
+    They are one Gauss-Newton step from the fit of the selection.
     A law's own choice is no parameter of that fit: what the choice leaves open adds to errors only. As a
     parameter it would stand for a part of the effects, beyond any difference that the choice can make.
     """
     fit, problem = selection.fit, selection.expected
     shrinkage, chosen = 1.0 / fit.prior_sd**2, problem.with_laws_as_chosen
-    linearized, slopes, prior, inverse = _linearize_causes(chosen, selection, EFFECT_RANK_TOL)
+    linearized, slopes, inverse = _linearize_causes(chosen, selection, EFFECT_RANK_TOL)
     values = fit.values + inverse @ (slopes.T @ linearized.residual - shrinkage * fit.values)
     if problem.uncertain:
-        _, slopes, prior, inverse = _linearize_causes(problem, selection, EFFECT_RANK_TOL)
+        _, slopes, inverse = _linearize_causes(problem, selection, EFFECT_RANK_TOL)
     lower, upper = _bounds(selection)
     if np.any((values < lower) | (values > upper)):  # so far from the fit, its slopes say nothing
         values = fit.values
-    return _Refit(values, _covariance(selection, slopes, prior, inverse))
+    return values, _covariance(selection, slopes, inverse)
 
 
 def expected_covariance(selection: Selection) -> Array:
@@ -198,33 +185,34 @@ def expected_covariance(selection: Selection) -> Array:
     if not selection.law_causes:
         return np.zeros((0, 0))
     problem = selection.problem
-    _, slopes, prior, inverse = _linearize_causes(problem, selection, RANK_TOL)
+    _, slopes, inverse = _linearize_causes(problem, selection, RANK_TOL)
     times = selection.expected.scale / problem.scale
-    return _covariance(selection, slopes * times[:, None], prior, inverse)
+    return _covariance(selection, slopes * times[:, None], inverse)
 
 
 def _linearize_causes(
     problem: DiagnosisProblem, selection: Selection, rank_tol: float
-) -> tuple[LinearizedFit, Array, Array, Array]:
-    """The laws with causes, calibration projected out, the causes' slopes, prior and inverse information.
+) -> tuple[LinearizedFit, Array, Array]:
+    """The laws with causes, calibration projected out, the causes' slopes and inverse information.
 
     Slopes are whitened, (n, q); the information, (q, q), is that of the rows and the parameters' priors.
     """
     fit = selection.fit
     linearized = problem.linearize_extended(replace(fit, at_bound=np.ones_like(fit.at_bound)))
     slopes = linearized.project(linearized.whiten(compute_cause_jacobian(selection)))
-    prior = _prior_information(selection, slopes)
-    return linearized, slopes, prior, _invert(slopes.T @ slopes + np.diag(prior), rank_tol)
+    correlation, sizes = _standardize(_information(selection, slopes))
+    # Dependent parameters count as known.
+    return linearized, slopes, np.linalg.pinv(correlation, rcond=rank_tol, hermitian=True) / sizes
 
 
-def _invert(information: Array, rank_tol: float) -> Array:
-    """The inverse of an information matrix, shape (q, q), in which dependent parameters count as known."""
+def _standardize(information: Array) -> tuple[Array, Array]:
+    """An information matrix with a diagonal of 1, and by what that was divided, both of shape (q, q)."""
     size = np.sqrt(np.maximum(np.diag(information), MIN_LENGTH))
-    inverse = np.linalg.pinv(information / np.outer(size, size), rcond=rank_tol, hermitian=True)
-    return np.asarray(inverse / np.outer(size, size))
+    sizes = np.outer(size, size)
+    return information / sizes, sizes
 
 
-def _covariance(selection: Selection, slopes: Array, prior: Array, inverse: Array) -> Array:
+def _covariance(selection: Selection, slopes: Array, inverse: Array) -> Array:
     """Of parameters estimated by slopes, (n, q), in units of the noise, which memory may correlate."""
     for one in selection.selected:
         memory = _memory_of(one)
@@ -234,25 +222,22 @@ def _covariance(selection: Selection, slopes: Array, prior: Array, inverse: Arra
             slopes = memory.correlate(slopes)
         elif isinstance(one.version, CarryOverTerm):  # beside which the noise is that of the innovations
             slopes = memory.correlate(slopes) / np.sqrt(1.0 - memory.coefficient**2)
-    return np.asarray(
-        inverse @ (slopes.T @ slopes + np.diag(_prior_information(selection, slopes))) @ inverse
-    )
+    return np.asarray(inverse @ _information(selection, slopes) @ inverse)
 
 
-def _prior_information(selection: Selection, slopes: Array) -> Array:
-    """What is known of each parameter beforehand, shape (q,): its prior.
+def _information(selection: Selection, slopes: Array) -> Array:
+    """What the rows say of the parameters, by `slopes`, (n, q), and what is known beforehand; (q, q).
 
-    Of one of which the rows, by `slopes`, say less than that it is between its bounds, that, too.
+    That is their prior; and of one of which all this says less than that it is between its bounds, that, too.
     """
-    prior = 1.0 / selection.fit.prior_sd**2
     lower, upper = _bounds(selection)
-    information = slopes.T @ slopes + np.diag(prior)
-    size = np.sqrt(np.maximum(np.diag(information), MIN_LENGTH))
-    eigenvalue, vector = np.linalg.eigh(information / np.outer(size, size))
+    information = slopes.T @ slopes + np.diag(1.0 / selection.fit.prior_sd**2)
+    correlation, sizes = _standardize(information)
+    eigenvalue, vector = np.linalg.eigh(correlation)
     # Of dependent parameters, too, the rows say next to nothing.
-    variance = vector**2 @ (1.0 / np.maximum(eigenvalue, SINGULAR_TOL)) / size**2
+    variance = vector**2 @ (1.0 / np.maximum(eigenvalue, SINGULAR_TOL)) / np.diag(sizes)
     bounded = UNIFORM_PRECISION / (upper - lower) ** 2
-    return np.asarray(np.where(variance * bounded > 1.0, prior + bounded, prior))
+    return information + np.diag(np.where(variance * bounded > 1.0, bounded, 0.0))
 
 
 def _bounds(selection: Selection) -> tuple[Array, Array]:
@@ -296,8 +281,7 @@ def _forms_beyond_fit(selection: Selection, selected: SelectedCause) -> tuple[Ar
 
 def detection_threshold(selected: SelectedCause, df: int, alpha: float) -> float:
     """Strength of an effect above which a selected cause is detected."""
-    misfit = selected.misfit
-    assert misfit is not None
+    misfit = selected.test
     critical = misfit.critical_value(allocate_alpha(alpha))
     return detection_length(critical, misfit.n_shapes(selected.cause), df)
 

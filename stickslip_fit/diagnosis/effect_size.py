@@ -80,8 +80,7 @@ def _size_cause(
     if effect.strength > MAX_CONDITIONAL_STRENGTH:
         size = _with_lack(size, effect, selection)
     strength = size.estimate * effect.strength / effect.rms
-    misfit = selected.misfit
-    assert misfit is not None
+    misfit = selected.test
     rivals = tuple(
         rival
         for rival in selected.cause_set.rivals

@@ -19,7 +19,7 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause, covariates, library
 from stickslip_fit.diagnosis.candidate_traverses import Forecast, forecast_candidates
-from stickslip_fit.diagnosis.extension import SelectedCause
+from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes
 from stickslip_fit.diagnosis.finding import Finding, NextTraverse
 from stickslip_fit.diagnosis.linearized import ExtendedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN
@@ -125,16 +125,13 @@ def choose_place(time: Array, criterion: Array) -> int | None:
 
 def _fit_rival(selection: Selection, selected: SelectedCause, cause: str) -> ExtendedFit:
     """The law with a rival in the place of a selected cause, refitted."""
-    misfit = selected.misfit
-    assert misfit is not None
+    misfit = selected.test
     shape: Any = misfit.best_hypothesis(cause)
     start = np.array(shape.version.start_values) if shape.values is None else shape.values
     rival = replace(selected, cause=cause, version=shape.version, start=start)
     chosen = selected if cause == selected.cause else rival
     causes = [chosen if one is selected else one for one in selection.law_causes]
-    return selection.problem.fit_extended(
-        [one.version for one in causes], np.concatenate([one.start for one in causes])
-    )
+    return fit_causes(selection.problem, causes)
 
 
 def _evaluate_candidates(fits: dict[str, ExtendedFit], forecasts: Sequence[Forecast]) -> _Candidates:

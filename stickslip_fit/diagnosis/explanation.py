@@ -35,8 +35,7 @@ def explain_structure(selection: Selection, finding: Finding) -> pd.DataFrame:
         (relative) with it in the law; gain, how much less that is than without.
     """
     unknown = selection.behind(finding)
-    misfit, problem = unknown.misfit, selection.problem
-    assert misfit is not None
+    misfit, problem = unknown.test, selection.problem
     named = [one for one in law_causes(selection.selected) if one.cause != UNKNOWN]
     linearized = problem.linearize_extended(fit_causes(problem, named)) if named else problem.linearize()
     shapes = {cause: misfit.best_subspace(cause) for cause in finding.explains}
@@ -49,8 +48,11 @@ def explain_structure(selection: Selection, finding: Finding) -> pd.DataFrame:
         held_out = prepare_calibration(linearized.basis, split.calibration, split.held_out).subtract(columns)
         scale = problem.scale[split.held_out]
         errors.append(scale * _held_out_errors(train, held_out, shapes, misfit.residual))
-    rms = np.sqrt(np.mean(np.concatenate(errors, axis=1) ** 2, axis=1)) if errors else np.full(1, np.nan)
-    rms = np.broadcast_to(rms, 1 + len(shapes)) if len(rms) == 1 else rms
+    rms = (
+        np.sqrt(np.mean(np.concatenate(errors, axis=1) ** 2, axis=1))
+        if errors
+        else np.full(1 + len(shapes), np.nan)
+    )
     table = pd.DataFrame(
         {
             "cause": list(shapes),

@@ -62,10 +62,8 @@ class Dictionary:
         make: Callable[[int, int, float], tuple[Any, Array]],
         n_factors: Array,
     ) -> None:
-        n_own = sum(block.shape[1] for _, block in linearized.blocks)
-        own_basis = linearized.basis[:, :n_own]
         whitened = linearized.whiten(columns)
-        self.columns = whitened - own_basis @ (own_basis.T @ whitened)
+        self.columns = linearized.project_own(whitened)
         self.groups, self.combine, self.make, self.n_factors = groups, combine, make, n_factors
         each = np.stack([np.sum(self.columns[rows] ** 2, axis=0) for rows in groups])
         shared = np.stack([linearized.shared_basis[rows].T @ self.columns[rows] for rows in groups])

@@ -15,6 +15,7 @@ from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.causes.table_terms import PREDICTION
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes
 from stickslip_fit.diagnosis.cause_set import CauseSet
+from stickslip_fit.diagnosis.evidence import batch_hypotheses
 from stickslip_fit.diagnosis.hypotheses import (
     EFFECT_TOL,
     FiniteEffects,
@@ -32,7 +33,6 @@ from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
     Misfit,
     StructureRemoved,
-    batch_hypotheses,
     compute_misfit,
     drop_single_rows,
     remove_structure,
@@ -95,6 +95,12 @@ class SelectedCause:
     ahead_of_pairs: float = np.inf
     naming: Misfit | None = None
     tested: LinearizedFit | None = None
+
+    @property
+    def test(self) -> Misfit:
+        """As `misfit`, of what has a shape."""
+        assert self.misfit is not None
+        return self.misfit
 
 
 def law_causes(selected: Sequence[SelectedCause]) -> list[SelectedCause]:
@@ -287,8 +293,7 @@ def _beside_harmonics(linearized: LinearizedFit, period: float) -> Array:
 
 def _unknown_forms(linearized: LinearizedFit, selected: SelectedCause) -> Array:
     """Effects of the carriers of a proposal, in its own form and in all others, whitened, (n, m)."""
-    misfit, version = selected.misfit, selected.version
-    assert misfit is not None
+    misfit, version = selected.test, selected.version
     carriers = set(version.carriers)
     others = [
         one.version
@@ -394,8 +399,7 @@ def alternative_forms(linearized: LinearizedFit, selected: SelectedCause) -> Arr
 
     These are its other shapes, and the square and the cube of its own effect, for a nonlinear dependence.
     """
-    misfit = selected.misfit
-    assert misfit is not None
+    misfit = selected.test
     effect = compute_changes(linearized, selected.version, selected.start[None])
     powers = linearized.whiten(np.concatenate([effect**2, effect**3], axis=1))
     length = np.linalg.norm(powers, axis=0)
@@ -417,8 +421,7 @@ def open_changes(linearized: LinearizedFit, selected: SelectedCause) -> Array:
     The differences from its effect with lambda well within either regime, of each joint and direction by
     itself: those may differ in what they are.
     """
-    version, misfit = selected.version, selected.misfit
-    assert misfit is not None
+    version, misfit = selected.version, selected.test
     if not isinstance(version, StageCause):
         return np.zeros((len(linearized), 0))
     others = dict.fromkeys(

@@ -8,22 +8,20 @@ selection has to be repeated.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
 from scipy.special import logsumexp
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._typing import IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.combinations import PAIR_LOG_PENALTY
 from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes, make_selected
 from stickslip_fit.diagnosis.leave_out import LeftOut, Look
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.memory import AR1
-from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause
-from stickslip_fit.diagnosis.proposed_term import propose_term
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
+from stickslip_fit.diagnosis.proposed_term import propose_term, rank_forms
 from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 
 CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
@@ -33,32 +31,13 @@ CLEAR_REFIT = 1.0  # nats between the best cause and the next, both refitted
 MIN_EVIDENCE_SHARE = 0.5  # of the evidence in all rows; with less, a few rows may bear it
 
 
-@dataclass(frozen=True, eq=False)
-class Refit:
-    """A law fitted to all rows, linearized there.
-
-    Attributes
-    ----------
-    residual : array, shape (n,)
-    basis : sparse array, shape (n, number of parameters)
-    """
-
-    residual: Array
-    basis: csr_array
-
-    @classmethod
-    def of(cls, linearized: LinearizedFit) -> Refit:
-        """The fit that a linearization is about."""
-        return cls(linearized.residual, linearized.basis)
-
-    def log_likelihood(self, rows: IntArray | None = None) -> float:
-        """Of a fit without some rows, the size of the noise unknown, but for a constant."""
-        squares, df = float(self.residual @ self.residual), len(self.residual) - self.basis.shape[1]
-        if rows is not None:
-            left_out = LeftOut.of(self.basis, rows)
-            squares -= float(np.sum(left_out.coordinates(self.residual[rows, None]) ** 2))
-            df -= left_out.own.shape[1]
-        return -0.5 * df * float(np.log(squares))
+def log_likelihood_change(linearized: LinearizedFit, rows: IntArray) -> float:
+    """By how much a fit is likelier without some rows, the size of the noise unknown, but for a constant."""
+    residual, left_out = linearized.residual, LeftOut.of(linearized.basis, rows)
+    squares, df = float(residual @ residual), linearized.df
+    left = squares - float(np.sum(left_out.coordinates(residual[rows, None]) ** 2))
+    without = -0.5 * (df - left_out.own.shape[1]) * float(np.log(left))
+    return without + 0.5 * df * float(np.log(squares))
 
 
 class Looks:
@@ -77,7 +56,7 @@ class Looks:
         # A law for structure without a name may end the search whatever is left.
         ended = selection.selected[-1].version is not None and selection.last_misfit.p_value < self.level
         self.last = None if ended else look(selection.last_misfit)
-        self._refits: dict[tuple[str, str | None], Refit] = {}
+        self._refits: dict[tuple[str, str | None], LinearizedFit] = {}
 
     def select_without(self, rows: IntArray) -> list[SelectedCause] | None:
         """The causes in the law as selected without some rows; None if a look is not clear without them.
@@ -112,17 +91,10 @@ class Looks:
         self, place: int, selected: SelectedCause, rows: IntArray, rng: np.random.Generator
     ) -> SelectedCause:
         """Unknown structure, as selected without some rows, with the law that these would propose."""
-        test, kept = selected.misfit, np.setdiff1d(np.arange(len(self.selection.problem)), rows)
-        assert test is not None
+        test, kept = selected.test, np.setdiff1d(np.arange(len(self.selection.problem)), rows)
         assert selected.tested is not None
-        likeliest = {int(np.argmax(test.log_evidence))}
-        smooth, memory = [], []
-        for k, one in enumerate(test.hypotheses):
-            if isinstance(one, AR1):
-                memory.append(k)
-            elif one.version is not None and classify_cause(one) == UNKNOWN:
-                smooth.append(k)
-        likeliest |= {max(own, key=lambda k: test.log_evidence[k]) for own in (smooth, memory) if own}
+        smooth, memory = rank_forms(test)
+        likeliest = {int(np.argmax(test.log_evidence)), *smooth[:1], *memory[:1]}
         restricted = self.revised[place].restrict(test, sorted(likeliest), rows)
         unknown = replace(selected, version=None, start=np.zeros(0), misfit=restricted)
         linearized, expressions = selected.tested.select_rows(kept), self.selection.problem.expressions
@@ -186,18 +158,17 @@ class Looks:
         if abs(look.refit_gain.get(rival, 0.0)) < CLEAR_REFIT:
             return without.log_evidence_by_cause[rival]
         before, after = self._refit(look, cause, None), self._refit(look, cause, rival)
-        change = after.log_likelihood(rows) - after.log_likelihood()
-        change -= before.log_likelihood(rows) - before.log_likelihood()
+        change = log_likelihood_change(after, rows) - log_likelihood_change(before, rows)
         return look.misfit.log_evidence_by_cause[rival] + change
 
-    def _refit(self, look: Look, cause: str, rival: str | None) -> Refit:
+    def _refit(self, look: Look, cause: str, rival: str | None) -> LinearizedFit:
         """The law of all rows with a rival in the place of a selected cause, or with neither."""
         if (cause, rival) not in self._refits:
             causes = [one for one in self.selection.law_causes if one.cause != cause]
             if rival is not None:
                 causes.append(make_selected(look.misfit, form_cause_set(look.misfit, rival)))
             problem = self.selection.problem
-            self._refits[cause, rival] = Refit.of(problem.linearize_extended(fit_causes(problem, causes)))
+            self._refits[cause, rival] = problem.linearize_extended(fit_causes(problem, causes))
         return self._refits[cause, rival]
 
     def _is_unknown(self, look: Look, without: Misfit) -> bool:
@@ -213,10 +184,8 @@ class Looks:
     def _is_ahead_of_pairs(self, place: int, without: Misfit) -> bool:
         """Whether unknown structure is likelier than any combination of causes, which lose as many rows."""
         whole, ahead = self.naming[place].misfit, self.selection.law_causes[place].ahead_of_pairs
-        own, share = (
-            without.log_evidence_by_cause[UNKNOWN],
-            np.count_nonzero(without.residual) / len(whole.residual),
-        )
+        own = without.log_evidence_by_cause[UNKNOWN]
+        share = np.count_nonzero(without.residual) / len(whole.residual)
         to_beat = share * (whole.log_evidence_by_cause[UNKNOWN] + PAIR_LOG_PENALTY - ahead)
         least = min(ahead, own + PAIR_LOG_PENALTY - to_beat)
         return bool(least > max(CLEAR_NAME, CLEAR_PAIR_SHARE * own))
@@ -236,7 +205,7 @@ def prepare_looks(selection: Selection, alpha: float) -> Looks | None:
     known = [one for one in tests if one is not None]
     possible = all(one.basis is not None and len(one.residual) == len(selection.problem) for one in known)
     forced = any(
-        one.version is None and one.misfit is not None and _best_cause(one.misfit) != UNKNOWN
+        one.version is None and one.misfit is not None and form_cause_set(one.misfit).cause != UNKNOWN
         for one in selection.selected
     )
     independent = selection.problem.autocorrelation is None
@@ -249,7 +218,3 @@ def prepare_looks(selection: Selection, alpha: float) -> Looks | None:
 
 def _best_version(misfit: Misfit, cause: str) -> Any:
     return misfit.best_hypothesis(cause).version
-
-
-def _best_cause(misfit: Misfit) -> str:
-    return max(misfit.log_evidence_by_cause, key=lambda cause: misfit.log_evidence_by_cause[cause])

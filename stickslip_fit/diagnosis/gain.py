@@ -26,6 +26,7 @@ from stickslip_fit.diagnosis.cross_validation import (
     hold_out_sessions,
     make_folds,
 )
+from stickslip_fit.diagnosis.evidence import log_likelihood_ratio
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding, Gain
 from stickslip_fit.diagnosis.fold_selection import prepare_looks
@@ -39,7 +40,7 @@ from stickslip_fit.diagnosis.gain_interval import (
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
-from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, detection_length, log_likelihood_ratio
+from stickslip_fit.diagnosis.misfit import UNKNOWN, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, compute_cause_jacobian, select_causes
 from stickslip_fit.logs.log import number_configurations
@@ -377,24 +378,18 @@ def _linearize_campaign(
 
 def _collect_competitors(selected: SelectedCause, effect: Array, df: int) -> CompetingCauses:
     """Rivals of a selected cause, whose fitted effect is given, whitened and projected, shape (n,)."""
-    misfit = selected.misfit
-    assert misfit is not None
+    misfit = selected.test
     others = [
         cause
         for cause in misfit.log_evidence_by_cause
         if cause != selected.cause and isinstance(misfit.best_hypothesis(cause), Hypothesis)
     ]
-    shapes = [effect, *(_explained_shape(misfit, cause) for cause in others)]
-    columns, residual = np.stack(shapes, axis=1), misfit.residual
+    residual = misfit.residual
+    shapes = [effect, *(misfit.best_subspace(cause).explain(residual) for cause in others)]
+    columns = np.stack(shapes, axis=1)
     squares = (residual @ columns) ** 2 / np.maximum(np.sum(columns**2, axis=0), MIN_SQUARE)
     evidence = np.array([misfit.log_evidence_by_cause[cause] for cause in (selected.cause, *others)])
     ahead = evidence - log_likelihood_ratio(squares / (residual @ residual), df)
     return CompetingCauses(
         columns[:, 1:], ahead[1:] - ahead[0], np.array([cause != UNKNOWN for cause in others], dtype=bool)
     )
-
-
-def _explained_shape(misfit: Misfit, cause: str) -> Array:
-    """What a cause explains of the residuals, (n,)."""
-    best = misfit.best_subspace(cause)
-    return best.combine(best.coefficients(misfit.residual))

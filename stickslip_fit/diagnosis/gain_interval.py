@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.cross_validation import Split
-from stickslip_fit.diagnosis.misfit import log_likelihood_ratio
+from stickslip_fit.diagnosis.evidence import log_likelihood_ratio
 
 Recolouring = Callable[[Array], Array]
 """From whitened columns, shape (n, m), to those in units of the noise of each row, correlated again."""
@@ -455,11 +455,12 @@ def simulate_selection(
     along = basis.T @ own
     direction = own - basis @ along
     by_others = np.linalg.lstsq(turn.T, sums.products[others], rcond=RANK_TOL)[0]
-    squares = sums.squares - np.sum(by_others**2, axis=0)
+    # Where next to nothing is left, rounding may make it less.
+    squares = np.maximum(sums.squares - np.sum(by_others**2, axis=0), np.finfo(float).tiny)
     own_length = np.maximum(np.linalg.norm(direction, axis=0), MIN_LENGTH)
     length = np.abs((sums.products[candidates] - along.T @ by_others).T / own_length)
     df = len(training.predicted) - training.known.shape[0] - len(others)
-    evidence = log_likelihood_ratio(length**2 / np.maximum(squares, np.finfo(float).tiny)[:, None], df)
+    evidence = log_likelihood_ratio(length**2 / squares[:, None], df)
     evidence[:, 1:] += rivals.log_bayes_factor + spread
     best = np.argmax(evidence, axis=1)
     detected = np.take_along_axis(length, best[:, None], axis=1)[:, 0] > campaign.thresholds[cause]

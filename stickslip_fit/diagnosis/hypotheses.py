@@ -12,6 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,6 @@ ABSORBED = 2.0 * EFFECT_TOL  # whitened; a trial without a hypothesis and with a
 MAX_COUPLED_SESSIONS = 6  # with more, one has too little of a shared parameter to matter
 SPARSE = 0.75  # share of rows with an effect, below which products leave out the others
 MAX_EFFECT = 1e100  # whitened; the squares of larger ones are no numbers
-AT_ONCE = 100  # directions whose rows are put in another order
 MAX_MISSING = 3  # samples in a row, as where a value is set aside, before noise that persists is lost
 SHRINK_FACTOR = 20.0  # on the size of a trial by which a joint would stall
 
@@ -122,105 +122,13 @@ class Hypothesis:
         """Linear combination of the directions; (m,) -> (n,)."""
         return self.directions @ coefficients
 
+    def explain(self, residual: Array) -> Array:
+        """The part of a residual, shape (n,), along the directions."""
+        return self.combine(self.coefficients(residual))
+
     def leverage(self, kept: Array) -> Array:
         """Leverage of each row if these shares of the directions are subtracted; (m,) -> (n,)."""
         return np.asarray(self.directions**2 @ kept)
-
-
-@dataclass(frozen=True, eq=False)
-class DirectionGroup:
-    """All directions of some hypotheses that are zero outside of the same rows.
-
-    Attributes
-    ----------
-    rows : array of int, shape (s,), or slice
-    directions : array, shape (m', s)
-        In rows of the array; those that hypotheses share are there once.
-    place : array of int, shape (m,)
-        Of each among the directions of the hypotheses one after the other.
-    index : array of int, shape (m,)
-        Which coefficient is that of each.
-    least : array, shape (m', 1)
-        Least coefficient along each: 0 of a one-sided hypothesis, else minus infinity.
-    n_positive : int or None
-        Number of rows before those in which a hypothesis has the sign -1, if one has a sign. Then there are
-        m' more coefficients: along the same directions with that sign.
-    """
-
-    rows: IntArray | slice
-    directions: npt.NDArray[Any]
-    place: IntArray
-    index: IntArray
-    least: npt.NDArray[Any]
-    n_positive: int | None = None
-
-    @property
-    def n_coefficients(self) -> int:
-        """Number of coefficients."""
-        return len(self.directions) * (1 if self.n_positive is None else 2)
-
-    def coefficients(self, residuals: npt.NDArray[Any], out: npt.NDArray[Any]) -> None:
-        """Coefficients of residuals, shape (n, k), into `out`, shape (number of coefficients, k)."""
-        own, (first, second) = residuals[self.rows], np.split(out, [len(self.directions)])
-        np.matmul(self.directions[:, : self.n_positive], own[: self.n_positive], out=first)
-        if self.n_positive is not None:
-            np.matmul(self.directions[:, self.n_positive :], own[self.n_positive :], out=second)
-            first += second
-            second *= -2.0
-            second += first
-        if np.isfinite(self.least).any():
-            np.maximum(first, self.least, out=first)
-
-
-def group_directions(
-    hypotheses: Iterable[Hypothesis], dtype: npt.DTypeLike = np.float64
-) -> tuple[DirectionGroup, ...]:
-    """The directions of hypotheses, those on the same rows together; sessions have no row in common."""
-    key_of: dict[int, bytes] = {}
-    rows_of: dict[bytes, IntArray | slice] = {}
-    sign_of: dict[bytes, Array] = {}
-    directions: dict[bytes, dict[int, Array]] = {}
-    uses: dict[bytes, list[tuple[int, int, int, bool]]] = {}
-    least: dict[bytes, list[float]] = {}
-    begins: dict[int, int] = {}  # of each block among the directions of its group
-    first, sizes = 0, Counter[bytes]()
-    for hypothesis in hypotheses:
-        for rows, block in hypothesis.blocks:
-            if id(rows) not in key_of:
-                key = key_of[id(rows)] = b"" if isinstance(rows, slice) else rows.tobytes()
-                if rows_of.setdefault(key, rows) is rows:
-                    directions[key], uses[key], least[key] = {}, [], []
-            key, width, is_signed = key_of[id(rows)], block.shape[1], hypothesis.sign is not None
-            if hypothesis.sign is not None and key not in sign_of:
-                sign_of[key] = hypothesis.sign[rows]
-            if id(block) not in directions[key]:
-                directions[key][id(block)], begins[id(block)] = block.T, sizes[key]
-                sizes[key] += width
-                least[key].extend([0.0 if hypothesis.one_sided else -np.inf] * width)
-            uses[key].append((first, begins[id(block)], width, is_signed))
-            first += width
-    groups = []
-    for key, rows in rows_of.items():
-        joined, n_positive = np.concatenate(list(directions[key].values()), dtype=dtype), None
-        if key in sign_of:
-            order = np.argsort(-sign_of[key], kind="stable")
-            rows = np.arange(len(order))[rows][order] if isinstance(rows, slice) else rows[order]
-            n_positive = int(np.sum(sign_of[key] > 0))
-            for some in np.split(joined, range(AT_ONCE, len(joined), AT_ONCE)):
-                some[:] = some[:, order]  # a copy of all of them would take as much memory again
-        firsts, beginnings, widths, signed = np.array(uses[key], dtype=np.intp).T
-        inside = np.arange(widths.sum()) - np.repeat(np.cumsum(widths) - widths, widths)
-        groups.append(
-            DirectionGroup(
-                rows,
-                joined,
-                np.repeat(firsts, widths) + inside,
-                np.repeat(beginnings + len(joined) * signed, widths) + inside,
-                np.array(least[key], dtype)[:, None],
-                n_positive,
-            )
-        )
-    return tuple(groups)
 
 
 def make_hypothesis(cause: str, version: Any, values: Array | None, effects: Array) -> Hypothesis | None:
@@ -283,8 +191,8 @@ class SessionFit:
         Columns of each part's rows.
     blocks : tuple of (array of int, shape (m,), array, shape (m, p))
         Positions in the session, and the basis of its calibration there.
-    shared_basis, shared : array, shape (s, k), (n, k)
-        Basis of what all sessions share, here and in all rows; the latter None without any.
+    shared : array, shape (n, k), or None
+        Basis of what all sessions share, in all rows; None without any.
     scale : array, shape (s,)
     noise_filter : sparse array, shape (s, s), or None
         Both as of the `LinearizedFit`.
@@ -294,13 +202,17 @@ class SessionFit:
     parts: tuple[LawBlock, ...]
     tables: tuple[dict[str, npt.NDArray[Any]], ...]
     blocks: tuple[tuple[IntArray, Array], ...]
-    shared_basis: Array
     shared: Array | None
     scale: Array
     noise_filter: csr_array | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    @cached_property
+    def shared_basis(self) -> Array:
+        """As `shared`, in the session's rows, shape (s, k)."""
+        return np.zeros((len(self), 0)) if self.shared is None else self.shared[self.rows]
 
     def whiten(self, changes: Array) -> Array:
         """As of the `LinearizedFit`, shape (s, m)."""
@@ -337,7 +249,6 @@ def split_sessions(linearized: LinearizedFit) -> dict[str, SessionFit]:
             tuple(parts[k]),
             tuple(tables[k]),
             tuple(blocks[k]),
-            linearized.shared_basis[rows],
             linearized.shared,
             linearized.scale[rows],
             select_filter(linearized.noise_filter, rows),
@@ -437,14 +348,9 @@ def _couple_sessions(
     return [one for one in hypotheses if one is not None]
 
 
-def compute_effects(linearized: LinearizedFit, version: Any, trials: Array) -> Array:
+def compute_effects(linearized: LinearizedFit | SessionFit, version: Any, trials: Array) -> Array:
     """Change of every response, whitened, calibration projected out; trials (m, q) -> (n, m)."""
     return linearized.project(linearized.whiten(compute_changes(linearized, version, trials)))
-
-
-def compute_session_effects(session: SessionFit, version: Any, trials: Array) -> Array:
-    """As `compute_effects`, of a version that acts in one session only; trials (m, q) -> (s, m)."""
-    return session.project(session.whiten(compute_changes(session, version, trials)))
 
 
 def compute_changes(linearized: LinearizedFit | SessionFit, version: Any, trials: Array) -> Array:

@@ -12,10 +12,11 @@ import numpy as np
 from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.diagnosis.evidence import batch_hypotheses
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1
-from stickslip_fit.diagnosis.misfit import Misfit, batch_hypotheses
+from stickslip_fit.diagnosis.misfit import Misfit
 from stickslip_fit.estimation.result import OUTLYING_SD
 
 MAX_INFLUENTIAL = 2  # rows
@@ -48,7 +49,7 @@ def assess_support(linearized: LinearizedFit, misfit: Misfit, cause: str) -> Sup
     before = _mean_evidence(misfit.log_evidence[places])
     residual = misfit.residual
     free = np.maximum(1.0 - linearized.leverage, 1.0 - MAX_LEVERAGE)
-    influence = best.combine(best.coefficients(residual)) * residual / free
+    influence = best.explain(residual) * residual / free
     rows = np.argsort(-influence)[:MAX_INFLUENTIAL]
     indicators = np.zeros((len(linearized), len(rows)))
     indicators[rows, np.arange(len(rows))] = 1.0

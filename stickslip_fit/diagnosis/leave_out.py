@@ -19,18 +19,12 @@ from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.evidence import STRENGTHS, log_likelihood_ratio
 from stickslip_fit.diagnosis.extension import SelectedCause, make_selected
 from stickslip_fit.diagnosis.hypotheses import VARIANCE_TOL, Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.linearized import split_positions
 from stickslip_fit.diagnosis.memory import AR1, leave_out_rows, log_memory_evidence
-from stickslip_fit.diagnosis.misfit import (
-    MAX_EXPLAINED,
-    STRENGTHS,
-    Misfit,
-    average_by_cause,
-    classify_cause,
-    weigh_hypotheses,
-)
+from stickslip_fit.diagnosis.misfit import Misfit, average_by_cause, classify_cause, weigh_hypotheses
 
 MIN_KNOWN = 1e-6  # of a row left out: what calibration leaves of it; below, its block has no other row
 SHARED_FILL = 0.25  # of the rows, above which a direction of the calibration counts as shared by all
@@ -351,9 +345,7 @@ class Look:
             signal = strength**2 * share
             explained = np.bincount(owner, squares * signal / (1.0 + signal), number) / total
             spread = np.bincount(owner, np.log1p(signal), number)
-            at_strength.append(
-                -0.5 * spread - 0.5 * df * np.log1p(-np.minimum(np.maximum(explained, 0.0), MAX_EXPLAINED))
-            )
+            at_strength.append(log_likelihood_ratio(np.maximum(explained, 0.0), df) - 0.5 * spread)
         evidence = logsumexp(np.stack(at_strength), axis=0) - np.log(len(STRENGTHS))
         left = left_out.remove(residual[:, None], self.basis)[:, 0]
         evidence = self._with_memory(evidence, rows, left, df)

@@ -124,6 +124,11 @@ class LinearizedFit:
         """Project columns onto the orthogonal complement of `basis`, shape (n,) or (n, m)."""
         return columns - self.basis @ (self._basis_transposed @ columns)
 
+    def project_own(self, columns: Array) -> Array:
+        """As `project`, but for the columns of `basis` that all blocks share, shape (n, m)."""
+        own, transposed = self._own_basis
+        return columns - own @ (transposed @ columns)
+
     def unwhiten(self, columns: Array) -> Array:
         """Changes of the responses from whitened ones: the inverse of `whiten`."""
         scale = self.scale if columns.ndim == 1 else self.scale[:, None]
@@ -142,9 +147,14 @@ class LinearizedFit:
         return {name: value for name, value in self.__dict__.items() if name != "_solved_filter"}
 
     @cached_property
+    def _own_basis(self) -> tuple[csr_array, csr_array]:
+        own = self.basis[:, : sum(columns.shape[1] for _, columns in self.blocks)]
+        return own, csr_array(own.T)
+
+    @cached_property
     def shared_basis(self) -> Array:
         """The columns of `basis` that all blocks share, shape (n, k)."""
-        return self.basis[:, sum(columns.shape[1] for _, columns in self.blocks) :].toarray()
+        return self.basis[:, self._own_basis[0].shape[1] :].toarray()
 
     @property
     def shared(self) -> Array | None:
@@ -414,23 +424,10 @@ def fit_extended(
         predicted, slopes = model(values)
         return whitened(predicted), whitened(slopes)
 
-    first, scales = np.zeros((len(blocks), widest + shared)), np.ones((len(blocks), widest + shared))
-    lower, upper = np.full(widest + shared, -np.inf), np.full(widest + shared, np.inf)
-    for part, columns in zip(parts, columns_of, strict=True):
-        block, law_columns = blocks.of_row[part.rows], columns[: part.values.shape[1]]
-        first[block[:, None], law_columns] = part.values
-        size = np.maximum(np.abs(part.values), np.abs(part.values[:, :1]) * 0.1)
-        largest = np.abs(part.values).max(initial=0.0) or 1.0
-        scales[block[:, None], law_columns] = np.where(size > 0, size, largest)
-        lower[law_columns], upper[law_columns] = part.lower, part.upper
+    first, scales, lower, upper = _prepare_start(parts, columns_of, blocks, causes, start)
     last = slice(widest + n_shared, None)
-    first[:, last] = start
-    scales[:, last] = [size for cause in causes for size in cause.scale]
-    lower[last] = [parameter.lower for cause in causes for parameter in cause.parameters]
-    upper[last] = [parameter.upper for cause in causes for parameter in cause.parameters]
     sharing = share_with_all(np.arange(widest + shared) >= widest, blocks)
-    bounds: Any = {"lower": lower, "upper": upper}
-    options: Any = bounds | {"offset_tol": OFFSET_TOL, "least_fall": LEAST_FALL, "most": MAX_STEPS}
+    options: Any = {"offset_tol": OFFSET_TOL, "least_fall": LEAST_FALL, "most": MAX_STEPS}
     y, weight = np.append(responses, np.zeros(len(penalised))), 1.0 / prior_sd[penalised] ** 2
     data = (
         (model, y, np.append(1.0 / scale**2, weight))
@@ -439,7 +436,8 @@ def fit_extended(
     )
     if not any(hasattr(part.law, "joint") for part in parts):
         scales = _equal_lengths(data[0](first[blocks.of_row])[1], data[2], blocks, scales)
-    minimum = solve_block_arrow(*data, blocks, sharing, first, scales, tolerance=0.0, **options)
+    options |= {"lower": lower, "upper": upper, "tolerance": 0.0}
+    minimum = solve_block_arrow(*data, blocks, sharing, first, scales, **options)
     fitted = tuple(
         replace(part, law=law, values=minimum.values[np.ix_(blocks.of_row[part.rows], columns)])
         for law, part, columns in zip(extended, parts, columns_of, strict=True)
@@ -448,9 +446,38 @@ def fit_extended(
     if noise_filter is not None:
         residual = responses - model(minimum.values[blocks.of_row])[0][:n]
     covariance = shared_covariance(minimum, sharing, scales)[n_shared:, n_shared:]
+    values, at_bound = minimum.values[0, last], minimum.at_bound[0, last]
     converged = bool(minimum.converged.all())
-    at_bound = minimum.at_bound[0, last]
-    return ExtendedFit(fitted, minimum.values[0, last], covariance, residual, converged, prior_sd, at_bound)
+    return ExtendedFit(fitted, values, covariance, residual, converged, prior_sd, at_bound)
+
+
+def _prepare_start(
+    parts: Sequence[LawBlock],
+    columns_of: Sequence[IntArray],
+    blocks: Groups,
+    causes: Sequence[Any],
+    start: Array,
+) -> tuple[Array, Array, Array, Array]:
+    """Start values and scales of all parameters of g blocks, (g, p), the causes' last, and bounds, (p,).
+
+    `columns_of` are the places of each part's own parameters and of those that all rows share.
+    """
+    shape = len(blocks), 1 + max(int(columns.max()) for columns in columns_of)
+    first, scales = np.zeros(shape), np.ones(shape)
+    lower, upper = np.full(shape[1], -np.inf), np.full(shape[1], np.inf)
+    for part, columns in zip(parts, columns_of, strict=True):
+        block, law_columns = blocks.of_row[part.rows], columns[: part.values.shape[1]]
+        first[block[:, None], law_columns] = part.values
+        size = np.maximum(np.abs(part.values), np.abs(part.values[:, :1]) * 0.1)
+        largest = np.abs(part.values).max(initial=0.0) or 1.0
+        scales[block[:, None], law_columns] = np.where(size > 0, size, largest)
+        lower[law_columns], upper[law_columns] = part.lower, part.upper
+    last = slice(shape[1] - len(start), None)
+    first[:, last] = start
+    scales[:, last] = [size for cause in causes for size in cause.scale]
+    lower[last] = [parameter.lower for cause in causes for parameter in cause.parameters]
+    upper[last] = [parameter.upper for cause in causes for parameter in cause.parameters]
+    return first, scales, lower, upper
 
 
 def _equal_lengths(slopes: Array, weight: Array, blocks: Groups, scales: Array) -> Array:

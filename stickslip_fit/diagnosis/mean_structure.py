@@ -18,9 +18,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes.table_terms import CourseTerm
 from stickslip_fit.diagnosis.autocorrelation import (
     MAX_WITHOUT_GAIN,
     SPAN_TOL,
@@ -129,8 +129,9 @@ def _session_polynomials(linearized: LinearizedFit) -> Iterator[Array]:
     powers = []
     for session in dict.fromkeys(sessions):
         inside = sessions == session
-        half = max(float(seconds[inside].max()) / 2.0, float(np.finfo(float).tiny))
-        powers.append(legvander(seconds / half - 1.0, MAX_DEGREE)[:, 1:] * inside[:, None])
+        limits = ((0.0, max(float(seconds[inside].max()), float(np.finfo(float).tiny))),)
+        course = CourseTerm.of_degrees(range(1, MAX_DEGREE + 1), limits=limits, unit="")
+        powers.append(course.functions(linearized.columns) * inside[:, None])
     columns = np.stack(powers, axis=2)
     columns = linearized.project(linearized.whiten(columns.reshape(len(sessions), -1))).reshape(columns.shape)
     for degree in range(1, MAX_DEGREE + 1):

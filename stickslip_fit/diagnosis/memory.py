@@ -20,6 +20,7 @@ from scipy.sparse import csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
+from stickslip_fit._rows import rank_within
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.linearized import LinearizedFit
@@ -86,7 +87,7 @@ class Calibration:
         label: IntArray = np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
         own_labels, part = np.unique(label[n:], return_inverse=True)
         n_rows, n_columns = np.bincount(label[:n], minlength=label.max() + 1)[own_labels], np.bincount(part)
-        row_place, column_place = _rank_within(label[:n]), _rank_within(part)
+        row_place, column_place = rank_within(label[:n]), rank_within(part)
         part_of_row = np.full(label.max() + 1, -1)
         part_of_row[own_labels] = np.arange(len(own_labels))
         part_of_row = part_of_row[label[:n]]
@@ -129,15 +130,6 @@ class Calibration:
             inside = one.rows >= 0
             squares[one.rows[inside]] += np.sum(one.basis[inside] ** 2, axis=1)
         return np.asarray(squares)
-
-
-def _rank_within(kinds: IntArray) -> IntArray:
-    """Number of elements of the same kind before each."""
-    order = np.argsort(kinds, kind="stable")
-    first = np.flatnonzero(np.diff(kinds[order], prepend=-1))
-    rank = np.empty(len(kinds), dtype=np.intp)
-    rank[order] = np.arange(len(kinds)) - np.repeat(first, np.diff(first, append=len(kinds)))
-    return rank
 
 
 def _orthonormal_turn(columns: Array) -> Array:

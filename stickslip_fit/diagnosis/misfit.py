@@ -1,9 +1,6 @@
 """The misfit test: Bayes factors of all hypotheses, and the p-value of the whole search.
 
-With unknown noise variance and effect strength tau, the Bayes factor of a hypothesis against noise
-alone is prod (1 + tau^2 s_i)^(-1/2) (1 - sum u_i^2 tau^2 s_i / (1 + tau^2 s_i) / u'u)^(-df/2), with u_i
-the residual along direction i and s_i its prior share (A. Zellner, g-prior, 1986), averaged over four
-values of tau. The statistic is the mean Bayes factor over all causes and unstructured alternatives.
+The statistic is the mean Bayes factor (`evidence`) over all causes and unstructured alternatives.
 
 For the p-value, residuals beyond 2.5 standard deviations are set to that first, in the log as in every
 sample (winsorized; P. J. Huber, Ann. Math. Stat. 35:73, 1964): of heavy-tailed noise a single row would
@@ -36,27 +33,30 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import compress
 from operator import and_, not_
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_array
-from scipy.special import logsumexp, poch, softmax
+from scipy.special import poch, softmax
 
-from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.diagnosis.hypotheses import DirectionGroup, Hypothesis, group_directions
+from stickslip_fit._typing import Array
+from stickslip_fit.diagnosis.evidence import (
+    MAX_EXPLAINED,
+    STRENGTHS,
+    batch_hypotheses,
+    log_likelihood_ratio,
+    strength_evidence,
+)
+from stickslip_fit.diagnosis.hypotheses import Hypothesis
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
-from stickslip_fit.diagnosis.memory import AR1, log_memory_evidence
+from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.noise_shape import Quantization
 
 UNKNOWN = "unknown"
 # Standard deviations at which residuals are cut off for the p-value: of normal noise that costs 0.2 % of the
 # information.
 MAX_DEVIATION = 2.5
-STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])  # tau: hyperprior on the norm of an effect, whitened
 FINE_STRENGTHS = np.geomspace(4.0, 400.0, 11)  # the same of structure far above the noise
 MAX_DETECTION_LENGTH = 60.0  # whitened norm
-MAX_EXPLAINED = 1.0 - 1e-12  # share of the squared residuals
 MIN_LOG_BAYES_FACTOR = 5.0  # nats for a structure to be subtracted before the bootstrap
 # Nats for a version of a cause that adds parameters to another: of its evidence, or of a criterion.
 MIN_ADDED_LOG_EVIDENCE, MIN_CRITERION_GAIN = 2.0, 1.0
@@ -73,146 +73,6 @@ MIN_DECISIVE_SAMPLES, FEW_EXCEEDANCES = 1000, 5
 MIN_STUDENT_SAMPLES = 2000  # few samples would let one of them decide
 # Bootstrap samples at a time, and coefficients in them; for larger arrays the system clears memory each time.
 BATCH_SIZE, MAX_ELEMENTS = 250, 8_000_000
-
-
-@dataclass(frozen=True, eq=False)
-class HypothesisBatch:
-    """Hypotheses side by side, with m directions in all, which they may share.
-
-    Attributes
-    ----------
-    subspaces : tuple of Hypothesis
-    ar1s : tuple of AR1
-    position : array of int, shape (H,)
-        Of each hypothesis, in the order given, in (subspaces, AR(1)).
-    df : int
-    """
-
-    subspaces: tuple[Hypothesis, ...]
-    ar1s: tuple[AR1, ...]
-    position: npt.NDArray[np.intp]
-    df: int
-
-    def log_evidence(self, residuals: Array) -> Array:
-        """Log Bayes factor of each hypothesis against noise alone; (n, k) -> (H, k)."""
-        along = self._coefficients(residuals)
-        explained_share = self._explained_share(np.arange(len(along)), len(along))
-        at_each = self._at_each_strength(explained_share @ along**2, np.sum(residuals**2, axis=0))
-        subspaces = logsumexp(at_each, axis=1) - np.log(len(STRENGTHS))
-        return np.concatenate([subspaces, *self._ar1_log_evidence(residuals)])[self.position]
-
-    def log_mean_evidence(self, residuals: Array, log_weight: Array) -> Array:
-        """Log of the weighted sum of all Bayes factors, weights (H,); (n, k) -> (k,).
-
-        In single precision, to some 1e-5 nats.
-        """
-        weight = np.empty(len(log_weight))
-        weight[self.position] = np.exp(log_weight)
-        single, total = np.float32, np.sum(residuals**2, axis=0)
-        explained = self._explain(residuals.astype(single))
-        subspaces = self._at_each_strength(explained, total.astype(single))
-        ar1s = [np.zeros((0, len(total))), *self._ar1_log_evidence(residuals)]
-        others = np.concatenate(ar1s)
-        highest = np.maximum(subspaces.max(axis=(0, 1), initial=0.0), others.max(axis=0, initial=0.0))
-        np.exp(np.subtract(subspaces, highest.astype(single), out=subspaces), out=subspaces)
-        n = len(subspaces)
-        mean = weight[:n].astype(single) @ subspaces.mean(axis=1) + weight[n:] @ np.exp(others - highest)
-        return np.asarray(np.log(mean) + highest)
-
-    def _explain(self, residuals: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Part of the squares of samples, (n, k), that each subspace explains at each strength."""
-        groups, explained_share = self._grouped
-        along, first = np.empty((self.n_coefficients, residuals.shape[1]), residuals.dtype), 0
-        for group in groups:
-            group.coefficients(residuals, along[first : (first := first + group.n_coefficients)])
-        return np.asarray(explained_share @ np.square(along, out=along))
-
-    @cached_property
-    def n_coefficients(self) -> int:
-        """Number of coefficients of a sample, those with a sign besides."""
-        return int(self._grouped[1].shape[1])
-
-    def _coefficients(self, residuals: Array) -> Array:
-        """Along each direction, one hypothesis after the other, (n, k) -> (m, k)."""
-        inside: dict[tuple[int, bool], Array] = {}
-        known: dict[tuple[int, bool], Array] = {}
-        along = [residuals[:0]]
-        for one in self.subspaces:
-            is_signed = one.sign is not None
-            for rows, block in one.blocks:
-                if (key := (id(block), is_signed)) not in known:
-                    if (place := (id(rows), is_signed)) not in inside:
-                        own = residuals[rows]
-                        inside[place] = own if one.sign is None else own * one.sign[rows, None]
-                    known[key] = block.T @ inside[place]
-                    if one.one_sided:
-                        np.maximum(known[key], 0.0, out=known[key])
-                along.append(known[key])
-        return np.concatenate(along)
-
-    @cached_property
-    def _grouped(self) -> tuple[tuple[DirectionGroup, ...], csr_array]:
-        """Directions in single precision, one matrix product for each session, and what is explained."""
-        groups = group_directions(self.subspaces, np.float32)
-        first = np.cumsum([0, *(group.n_coefficients for group in groups)])
-        column = np.empty(sum(len(group.place) for group in groups), dtype=np.intp)
-        for k, group in zip(first, groups, strict=False):
-            column[group.place] = k + group.index
-        return groups, self._explained_share(column, int(first[-1])).astype(np.float32)
-
-    def _explained_share(self, column: IntArray, number: int) -> csr_array:
-        """Of the square of each of so many coefficients, what each subspace explains at each strength.
-
-        Shape (S len(STRENGTHS), number); `column`, shape (m,), is the coefficient of each direction.
-        """
-        signal, sizes = self._signal
-        ends = np.r_[0, np.cumsum(np.repeat(sizes, len(STRENGTHS)))]
-        first = np.repeat(np.cumsum(sizes) - sizes, len(STRENGTHS))
-        strength = np.repeat(np.arange(len(ends) - 1), np.diff(ends))
-        direction = np.arange(ends[-1]) + (first - ends[:-1])[strength]
-        own = signal[direction, strength % len(STRENGTHS)]
-        entries = own / (1.0 + own), column[direction], ends
-        return csr_array(entries, shape=(len(ends) - 1, number))
-
-    @cached_property
-    def _log_spread(self) -> Array:
-        """Log of the prior variance of the residuals over that of the noise, shape (S, len(STRENGTHS))."""
-        signal, sizes = self._signal
-        owner = np.repeat(np.arange(len(sizes)), sizes)
-        spread = [np.bincount(owner, np.log1p(own), len(sizes)) for own in signal.T]
-        return np.stack(spread, axis=1)
-
-    @cached_property
-    def _signal(self) -> tuple[Array, IntArray]:
-        """Prior variance along each direction at each strength, and how many directions each subspace has."""
-        shares = [one.prior_share for one in self.subspaces]
-        share = np.concatenate([np.zeros(0), *shares])
-        return STRENGTHS**2 * share[:, None], np.array([len(own) for own in shares], dtype=np.intp)
-
-    def _at_each_strength(self, explained: npt.NDArray[Any], total: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Log Bayes factor of each subspace at each strength, shape (S, len(STRENGTHS), k).
-
-        `explained`, shape (S len(STRENGTHS), k), of sums of squares of the residuals, shape (k,).
-        """
-        log = explained.reshape(-1, len(STRENGTHS), len(total))
-        log /= -np.maximum(total, np.finfo(log.dtype).tiny)
-        largest = MAX_EXPLAINED if log.dtype == np.float64 else 1.0 - 1e-6
-        np.log1p(np.maximum(log, -largest, out=log), out=log)
-        log *= -0.5 * self.df
-        log -= 0.5 * self._log_spread[:, :, None].astype(log.dtype)
-        return log
-
-    def _ar1_log_evidence(self, residuals: Array) -> list[Array]:
-        return [own[None] for own in log_memory_evidence(self.ar1s, residuals, self.df)]
-
-
-def batch_hypotheses(hypotheses: Sequence[Hypothesis | AR1], df: int) -> HypothesisBatch:
-    """Put hypotheses side by side: subspaces, then AR(1)."""
-    is_ar1 = np.array([isinstance(one, AR1) for one in hypotheses])
-    position = np.empty(len(hypotheses), dtype=np.intp)
-    position[np.argsort(is_ar1, kind="stable")] = np.arange(len(hypotheses))
-    subspaces = tuple(one for one in hypotheses if isinstance(one, Hypothesis))
-    return HypothesisBatch(subspaces, tuple(one for one in hypotheses if isinstance(one, AR1)), position, df)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,16 +111,6 @@ def remove_structure(
     kept = kept / (1.0 + kept)
     left = residual - shape.combine(kept * along)
     return StructureRemoved(left, shape.leverage(kept), float(log_evidence[best]))
-
-
-def strength_evidence(signal: Array, along: Array, residual: Array, df: int) -> Array:
-    """Log Bayes factor at each strength, shape (S,).
-
-    `signal`, shape (S, m), is the prior variance along each direction over that of the noise, `along`, (m,),
-    the coefficients of a residual, (n,).
-    """
-    explained = (signal / (1.0 + signal)) @ along**2 / float(residual @ residual)
-    return log_likelihood_ratio(explained, df) - 0.5 * np.log1p(signal).sum(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,6 +155,12 @@ class Misfit:
         if not len(self.null_log_evidence):
             return np.nan
         return float(np.quantile(self.null_log_evidence, 1.0 - level / self.p_value_factor))
+
+    def rank_causes(self, least: float, without: Sequence[str] = ()) -> list[str]:
+        """Causes with more evidence than `least`, the likeliest first; none `without` a name."""
+        evidence = self.log_evidence_by_cause
+        known = [cause for cause in evidence if cause not in (UNKNOWN, *without) and evidence[cause] > least]
+        return sorted(known, key=lambda cause: -evidence[cause])
 
     def best_hypothesis(self, cause: str) -> Hypothesis | AR1:
         """The likeliest shape of a cause; of all causes, if this one has no shape."""
@@ -421,18 +277,18 @@ def compute_misfit(
     weight = weigh_hypotheses(hypotheses, causes)
     own = batch.log_evidence(linearized.residual[:, None])[:, 0]
     by_cause = average_by_cause(causes, weight, own)
-    statistic, null, share = -np.inf, np.zeros(0), np.nan
+    null, share = np.zeros(0), np.nan
     # In noise that persists, what changes at once and stays so is one row far out, whitened.
     bound = MAX_DEVIATION if linearized.noise_filter is None else np.inf
 
-    def simulate(draw_noise: NoiseSampler, number: int) -> tuple[Array, float]:
-        """The statistic in samples of noise, and the share of at least the log's."""
-        null = np.zeros(0)
+    def simulate(draw_noise: NoiseSampler, number: int, null: Array) -> tuple[Array, float]:
+        """The statistic in samples of noise, after those of `null`, and the share of at least the log's."""
+        before = len(null)
         size = min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), batch.n_coefficients), 1))
         for first in range(0, number, size):
             noise = winsorize(draw_noise(min(size, number - first)), bound)
             null = np.concatenate([null, batch.log_mean_evidence(linearized.project(noise), weight)])
-            if max_exceedances is not None and np.sum(null >= statistic) >= max_exceedances:
+            if max_exceedances is not None and np.sum(null[before:] >= statistic) >= max_exceedances:
                 break
         return null, (1 + int(np.sum(null >= statistic))) / (1 + len(null))
 
@@ -445,18 +301,16 @@ def compute_misfit(
         wild = _make_wild_sampler(linearized, left, rng)
         student = _make_student_sampler(standardized, rng)
         sampler = wild or student
-        null, share = simulate(sampler, n_bootstrap)
+        null, share = simulate(sampler, n_bootstrap, null)
         if 0 < np.sum(null >= statistic) <= FEW_EXCEEDANCES and n_bootstrap < MIN_DECISIVE_SAMPLES:
-            more, _ = simulate(sampler, MIN_DECISIVE_SAMPLES - n_bootstrap)
-            null = np.concatenate([null, more])
-            share = (1 + int(np.sum(null >= statistic))) / (1 + len(null))
+            null, share = simulate(sampler, MIN_DECISIVE_SAMPLES - n_bootstrap, null)
         doubtful = statistic < null.max() + MAX_DOUBTFUL_LOG_EVIDENCE or skewed or quantization is not None
         if wild is not None and p_value_factor * share < MAX_DOUBTFUL_P_VALUE and doubtful:
             number = max(n_bootstrap, MIN_STUDENT_SAMPLES)
             sampler = _make_resampler(standardized, rng) if skewed else student
             if quantization is not None:
                 sampler = _make_rounding_sampler(sampler, quantization)
-            heavy_tailed, its_share = simulate(sampler, number)
+            heavy_tailed, its_share = simulate(sampler, number, null[:0])
             if its_share > share:
                 null, share = heavy_tailed, its_share
     p_value = min(p_value_factor * share, 1.0)
@@ -547,11 +401,6 @@ def weigh_hypotheses(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[st
             for family, cause in zip(families, causes, strict=True)
         ]
     )
-
-
-def log_likelihood_ratio(explained: npt.ArrayLike, df: int) -> Array:
-    """Maximum log likelihood ratio of an effect that explains a share of the squares, noise size unknown."""
-    return -0.5 * df * np.log1p(-np.minimum(explained, MAX_EXPLAINED))
 
 
 def detection_length(critical: float, n_shapes: float, df: int) -> float:

@@ -18,8 +18,9 @@ import numpy as np
 from scipy.special import digamma, softmax, stdtrit, zeta
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.diagnosis.evidence import log_likelihood_ratio
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
-from stickslip_fit.diagnosis.misfit import TAIL_DF, StructureRemoved, log_likelihood_ratio
+from stickslip_fit.diagnosis.misfit import TAIL_DF, StructureRemoved
 from stickslip_fit.diagnosis.noise_shape import Skewness, fit_skewness
 from stickslip_fit.diagnosis.unevenness import (
     MIN_FREE,
@@ -53,10 +54,7 @@ TAIL_PRIOR = dict(zip(TAIL_DF, (0.5, 0.25, 0.15, 0.1), strict=True))  # heavy ta
 MIN_TAIL_PROBABILITY = 1e-4  # of a df; noise of a less likely one is not simulated
 MAX_EXCEEDANCES, BATCH_SIZE = 40, 500  # simulated logs above the statistic, after which none is added
 SCALE_GRID = (0.9, 1.0, 1.1)  # of the standard deviation by the median
-MIN_OUTLIER_MEDIANS, MAX_OUTLIER_MEDIANS = (
-    5.5,
-    120.0,
-)  # medians of the absolute residuals; larger ones count as so large
+MIN_OUTLIER_MEDIANS, MAX_OUTLIER_MEDIANS = 5.5, 120.0  # absolute residuals; larger ones count as so large
 MISFIRE_SHARES = (0.0015, 0.003, 0.006, 0.012, 0.025, 0.05)
 MAX_MISFIRE_SHARE = 0.1  # of the rows
 NEIGHBOURS = 2  # rows on either side, in time or in a column

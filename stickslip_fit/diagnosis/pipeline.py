@@ -8,10 +8,10 @@
    (`memory`, `smooth_alternatives`) stand for "unknown", and `testability` says what a log could show.
 5. `noise`: repeatability, noisy configurations, outlying counts; `unevenness`: where noise is many times
    larger; `noise_shape`: skewed or coarsely rounded noise.
-6. `misfit`: is anything wrong? Bayes factors and the p-value.
-7. `selection`: forward selection of causes, by `extension` of the laws, with the causes that the data
-   cannot separate (`cause_set`) and those that show only together (`combinations`); `influence`: none rests
-   on one or two rows. `proposed_term`: a law for structure without a name.
+6. `misfit`: is anything wrong? Bayes factors (`evidence`) and the p-value.
+7. `selection`: forward selection of causes, by `extension` of the laws and `refits`, with the causes that
+   the data cannot separate (`cause_set`) and those that show only together (`combinations`); `influence`:
+   none rests on one or two rows. `proposed_term`: a law for structure without a name.
 8. `effect_size`: parameters and effects of the selected causes, with intervals (`finding`,
    `effect_interval`, `unknown_size`).
 9. `cross_validation`, `gain`, `gain_interval`: the held-out error with the causes in the law;
@@ -277,24 +277,16 @@ def _search(
     wider = _without(problem, unable.keys() - shown)
     whole = widen_selection(selection, wider.causes, alpha) if shown else selection
     unable = {cause: reason for cause, reason in unable.items() if cause not in shown}
-    yield _make_search(whole or selection, wider, linearized, missing, unable, too_small)
+
+    def describe(found: Selection) -> _Search:
+        failed = dict.fromkeys(found.failed, "it could not be fitted: with it the equations have no solution")
+        trials = found.first_misfit.failed
+        failed |= {cause: NO_TRIALS for cause, (number, tried) in trials.items() if number == tried}
+        return _Search(found, wider, linearized, {**missing, **unable, **failed}, too_small)
+
+    yield describe(whole or selection)
     if whole is None:
-        selection = select_causes(wider, alpha, bootstrap_size(alpha), rng)
-        yield _make_search(selection, wider, linearized, missing, unable, too_small)
-
-
-def _make_search(
-    selection: Selection,
-    problem: DiagnosisProblem,
-    linearized: LinearizedFit,
-    missing: Mapping[str, str],
-    unable: Mapping[str, str],
-    too_small: str | None,
-) -> _Search:
-    failed = dict.fromkeys(selection.failed, "it could not be fitted: with it the equations have no solution")
-    trials = selection.first_misfit.failed
-    failed |= {cause: NO_TRIALS for cause, (number, tried) in trials.items() if number == tried}
-    return _Search(selection, problem, linearized, {**missing, **unable, **failed}, too_small)
+        yield describe(select_causes(wider, alpha, bootstrap_size(alpha), rng))
 
 
 def _without(problem: DiagnosisProblem, names: Iterable[str]) -> DiagnosisProblem:

@@ -149,15 +149,11 @@ class DiagnosisProblem:
 
     @cached_property
     def _linearized(self) -> LinearizedFit:
-        return linearize_fit(
-            self.rows,
-            self.parts,
-            self.responses,
-            self.scale,
-            shared=self.n_shared,
-            noise_filter=self.noise_filter,
-            uncertain=self.uncertain,
-        )
+        return self._linearize(self.parts, self.n_shared)
+
+    def _linearize(self, parts: Sequence[LawBlock], n_shared: int, **options: Any) -> LinearizedFit:
+        options |= {"noise_filter": self.noise_filter, "uncertain": self.uncertain}
+        return linearize_fit(self.rows, parts, self.responses, self.scale, shared=n_shared, **options)
 
     @property
     def with_laws_as_chosen(self) -> DiagnosisProblem:
@@ -166,18 +162,8 @@ class DiagnosisProblem:
 
     def linearize_extended(self, fit: ExtendedFit, absorbed: Array | None = None) -> LinearizedFit:
         """A fit of the extended laws, linearized; `absorbed` as of `linearize_fit`."""
-        return linearize_fit(
-            self.rows,
-            fit.parts,
-            self.responses,
-            self.scale,
-            shared=self.n_shared + len(fit.values),
-            absorbed=absorbed,
-            noise_filter=self.noise_filter,
-            prior_sd=fit.prior_sd,
-            at_bound=fit.at_bound,
-            uncertain=self.uncertain,
-        )
+        known: Any = {"absorbed": absorbed, "prior_sd": fit.prior_sd, "at_bound": fit.at_bound}
+        return self._linearize(fit.parts, self.n_shared + len(fit.values), **known)
 
     def log_likelihood(self, fit: ExtendedFit) -> float:
         """Log likelihood of a fit of the extended laws, but for a constant."""

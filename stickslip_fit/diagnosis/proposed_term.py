@@ -20,24 +20,19 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import SMOOTH_SCALE, PeriodicTerm, SmoothTerm
 from stickslip_fit.causes.smooth import N_HARMONICS, prior_sds
 from stickslip_fit.causes.table_terms import PeriodicTableTerm
+from stickslip_fit.diagnosis.evidence import strength_evidence
 from stickslip_fit.diagnosis.expressions import Dictionary
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_effects, make_hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1
-from stickslip_fit.diagnosis.misfit import (
-    UNKNOWN,
-    Misfit,
-    classify_cause,
-    remove_structure,
-    strength_evidence,
-)
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause, remove_structure
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
 COMMON_IN_LAW = 0.5  # share of a function of sessions that is the same in all, in the law
 MEMORY_MARGIN = 3.0  # nats by which an autoregression is likelier, whose noise looks like many a function
 FACTOR_COST = 2.0  # of the squared residuals that a second factor has to explain
-FINE_LENGTHS = (0.04, 0.02)  # of functions of one carrier, of its range
+FINE_LENGTHS = (0.05, 0.03)  # of functions of one carrier, of its range
 CLEARLY_LIKELIER = 3.0  # nats, by which another function is likelier than the usual one
 WIDE_STRENGTHS = np.geomspace(4.0, 40_000.0, 25)  # of a law's function
 SURFACE_LENGTHS = (1.0, 0.6, 0.4)  # of functions of two carriers, of their ranges
@@ -59,20 +54,13 @@ def propose_term(
     misfit = unknown.misfit
     if unknown.cause != UNKNOWN or unknown.version is not None or misfit is None:
         return list(selected)
-    smooth = [
-        (float(evidence), one)
-        for evidence, one in zip(misfit.log_evidence, misfit.hypotheses, strict=True)
-        if classify_cause(one) == UNKNOWN and one.version is not None
-    ]
-    evidence, shape = max(smooth, key=lambda pair: pair[0], default=(-np.inf, None))
-    memory = [
-        (float(own), one)
-        for own, one in zip(misfit.log_evidence, misfit.hypotheses, strict=True)
-        if isinstance(one, AR1)
-    ]
-    to_beat, ar1 = max(memory, key=lambda pair: pair[0], default=(-np.inf, None))
+    (evidence, shape), (to_beat, ar1) = (
+        (misfit.log_evidence[places[0]], misfit.hypotheses[places[0]]) if places else (-np.inf, None)
+        for places in rank_forms(misfit)
+    )
     if evidence < max(MIN_STAND_IN_LOG_BAYES_FACTOR, to_beat - MEMORY_MARGIN):
-        if ar1 is None or ar1.term is None or to_beat < max(MIN_STAND_IN_LOG_BAYES_FACTOR, evidence):
+        least = max(MIN_STAND_IN_LOG_BAYES_FACTOR, evidence)
+        if not isinstance(ar1, AR1) or ar1.term is None or to_beat < least:
             return list(selected)
         start = np.array([ar1.coefficient])
         return [*others, replace(unknown, version=ar1.term, start=start, tested=linearized)]
@@ -92,6 +80,14 @@ def propose_term(
     version = shape.version.with_amplitude(strength / shape.length)
     start = np.array(version.null_values)
     return [*others, replace(unknown, version=version, start=start, tested=linearized)]
+
+
+def rank_forms(misfit: Misfit) -> tuple[list[int], list[int]]:
+    """Places of what may follow unknown structure, the likeliest first: smooth functions, autoregressions."""
+    places, shapes = np.argsort(-misfit.log_evidence, kind="stable").tolist(), misfit.hypotheses
+    memory = [k for k in places if isinstance(shapes[k], AR1)]
+    smooth = [k for k in places if shapes[k].version is not None and classify_cause(shapes[k]) == UNKNOWN]
+    return smooth, memory
 
 
 def _periods_about(wave: Any) -> Iterable[Any]:

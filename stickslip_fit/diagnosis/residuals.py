@@ -94,7 +94,7 @@ def compute_shape(selected: SelectedCause, linearized: LinearizedFit) -> Array:
     best = selected.misfit.best_hypothesis(selected.cause)
     if isinstance(best, AR1):
         return best.shape(linearized.residual)
-    return best.combine(best.coefficients(linearized.residual))
+    return best.explain(linearized.residual)
 
 
 def term_change(selection: Selection, version: Any) -> Array:

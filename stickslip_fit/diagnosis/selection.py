@@ -29,7 +29,6 @@ from stickslip_fit.diagnosis.combinations import (
     find_needless,
     first_of_pair,
     name_combinations,
-    refit_likeliest,
     revise_causes,
 )
 from stickslip_fit.diagnosis.extension import (
@@ -60,6 +59,7 @@ from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, re
 from stickslip_fit.diagnosis.noise import NoiseEstimate, explains_more, find_outliers, find_runs
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
+from stickslip_fit.diagnosis.refits import Refits, refit_likeliest
 from stickslip_fit.diagnosis.testability import MIN_DF
 from stickslip_fit.estimation.result import OUTLYING_SD
 
@@ -181,110 +181,145 @@ def _select(
         effects = compute_finite_effects(problem.linearize(), problem.causes)
         problem, linearized, _ = _reestimate_noise(problem, effects)
         misfires = [select_outliers(problem, outlier_p_value)]
-    first = last = assess_residuals(
+    first = assess_residuals(
         linearized, problem, n_bootstrap, rng, max_exceedances=MAX_EXCEEDANCES, effects=effects
     )
     del effects  # as large as all hypotheses
     p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
-    fit, level = problem.fit_extended(), allocate_alpha(alpha)
-    selected: list[SelectedCause] = []
-    combinations: list[tuple[str, ...]] = []
-    influential, failed = NO_ROWS, set[str]()
+    search = _ForwardSelection((problem, problem.fit_extended(), linearized), first, alpha, n_bootstrap, rng)
+    search.add_causes()
+    search.drop_needless(first.critical_value(search.level))
+    problem, fit, linearized = search.extension
+    selected = (*misfires, *name_combinations(search.selected, search.combinations))
+    results = first, search.last, p_value, fit, linearized
+    return Selection(problem, outliers, selected, *results, tuple(sorted(search.failed)), search.influential)
 
-    def assess(extension: Extension, selected: Sequence[SelectedCause]) -> Misfit:
+
+class _ForwardSelection:
+    """The search for causes, one after the other: what is selected, the laws with it, and their last test."""
+
+    def __init__(
+        self, extension: Extension, last: Misfit, alpha: float, n_bootstrap: int, rng: np.random.Generator
+    ) -> None:
+        self.extension, self.last, self.level = extension, last, allocate_alpha(alpha)
+        self.n_bootstrap, self.rng = n_bootstrap, rng
+        self.selected: list[SelectedCause] = []
+        self.combinations: list[tuple[str, ...]] = []
+        self.influential, self.failed = NO_ROWS, set[str]()
+
+    def assess(self, extension: Extension, selected: Sequence[SelectedCause]) -> Misfit:
+        """The test of the laws with some causes."""
         searched, names = absorb_unknown(extension, selected), name_explained(selected)
-        return assess_residuals(searched, extension[0], n_bootstrap, rng, names, MAX_EXCEEDANCES)
+        return assess_residuals(searched, extension[0], self.n_bootstrap, self.rng, names, MAX_EXCEEDANCES)
 
-    def settle(extension: Extension, selected: Sequence[SelectedCause]) -> tuple[Extension, Misfit]:
+    def assess_in_less_noise(
+        self, extension: Extension, selected: Sequence[SelectedCause]
+    ) -> tuple[Extension, Misfit]:
         """An extension and its test, in the noise without the structure that this finds."""
-        test = assess(extension, selected)
-        if test.p_value < level and (quieter := _quieten(extension, selected, test)):
-            return quieter, assess(quieter, selected)
+        test = self.assess(extension, selected)
+        if test.p_value < self.level and (quieter := _reduce_noise(extension, selected, test)):
+            return quieter, self.assess(quieter, selected)
         return extension, test
 
-    def give_way(chosen: Sequence[SelectedCause], searched: LinearizedFit) -> list[SelectedCause]:
-        """A cause in the place of unknown structure that would end the search, if likelier beside such."""
-        *others, unknown = chosen
-        beside = find_beside_unknown(problem, searched, unknown, level)
-        if beside.found is not None:
-            combinations.append((beside.found.first.cause, *beside.found.others))
-            return [*others, beside.found.first]
-        return [*others, replace(unknown, ahead_of_pairs=min(unknown.ahead_of_pairs, beside.behind))]
+    def add_causes(self) -> None:
+        """Add causes until nothing is left to be found."""
+        while self.last.p_value < self.level and len(self.selected) < MAX_CAUSES:
+            if not self.add_cause():
+                break
 
-    while last.p_value < level and len(selected) < MAX_CAUSES:
-        refits = refit_likeliest(problem, selected, last)
-        last, failed = refits.misfit, failed | {*refits.failed}
-        following = make_selected(last, form_cause_set(last), refits.starts)
-        ahead_of_pairs = np.inf
-        if following.cause == UNKNOWN:
-            pairs = first_of_pair(problem, selected, last)
-            ahead_of_pairs = pairs.behind
-            if pairs.found is not None:
-                following = pairs.found.first
-                combinations.append((following.cause, *pairs.found.others))
-        searched = absorb_unknown((problem, fit, linearized), selected)
-        support = assess_support(searched, last, following.cause)
-        if support.too_narrow:
-            broad = find_broad_cause(searched, last, following.cause)
-            if broad == UNKNOWN and problem.skewness is None:
-                influential = support.outlying
-            following = make_selected(last, form_cause_set(last, broad), refits.starts)
-        chosen = [*selected, following]
-        if following.cause == UNKNOWN:
-            chosen[-1] = replace(following, ahead_of_pairs=ahead_of_pairs)
-            chosen = propose_term(searched, chosen, problem.expressions, rng)
-            version = chosen[-1].version
-            if version is None or isinstance(version, CarryOverTerm) or _is_large(version, len(problem)):
-                chosen = give_way(chosen, searched)
-            if chosen[-1].version is None:
-                selected = chosen
-                break
-            if isinstance(chosen[-1].version, CarryOverTerm):
-                # The tests that would follow are for independent noise.
-                selected, (problem, fit, linearized) = chosen, extend_problem(problem, chosen)
-                break
-        ends = chosen[-1].cause == UNKNOWN and _is_large(chosen[-1].version, len(problem))
+    def add_cause(self) -> bool:
+        """Add the cause that the last test shows; whether others may follow."""
+        problem = self.extension[0]
+        refits = refit_likeliest(problem, self.selected, self.last)
+        self.last = refits.misfit
+        self.failed.update(refits.failed)
+        searched = absorb_unknown(self.extension, self.selected)
+        chosen = self.choose_cause(refits, searched)
+        if chosen[-1].version is None:
+            self.selected = chosen
+            return False
         extension = refits.extensions.get(chosen[-1].cause) or extend_problem(problem, chosen)
-        if selected and chosen[-1].cause != UNKNOWN:
-            revised = revise_causes(extension[0], chosen, rng)
+        if self.selected and chosen[-1].cause != UNKNOWN:
+            revised = revise_causes(extension[0], chosen, self.rng)
             # In another version a cause of the same name has other parameters.
             if [(one.cause, one.version) for one in revised] != [(one.cause, one.version) for one in chosen]:
                 extension = extend_problem(extension[0], revised)
             chosen = revised
-        if ends and not selected:  # nothing follows, and nothing else could be needless
-            selected, (problem, fit, linearized) = chosen, extension
-            break
-        extension, last = (extension, assess(extension, chosen)) if ends else settle(extension, chosen)
-        if chosen[-1].cause == UNKNOWN and not ends and last.p_value >= level:
-            chosen = give_way(chosen, searched)
+        if _ends_search(chosen[-1], len(problem)):
+            # The tests that would follow carry-over are for independent noise.
+            if self.selected and not isinstance(chosen[-1].version, CarryOverTerm):
+                self.last = self.assess(extension, chosen)  # something else may be needless
+            self.selected, self.extension = chosen, extension
+            return False
+        extension, last = self.assess_in_less_noise(extension, chosen)
+        if chosen[-1].cause == UNKNOWN and last.p_value >= self.level:
+            chosen = self.replace_unknown(chosen, searched)
             if chosen[-1].cause != UNKNOWN:
-                extension, last = settle(extend_problem(problem, chosen), chosen)
+                extension, last = self.assess_in_less_noise(extend_problem(problem, chosen), chosen)
         if chosen[-1].cause != UNKNOWN:
-            exchange = find_exchange(problem, chosen, extension, last, refits, level)
-            cause_set = chosen[-1].cause_set.with_rivals(exchange.rivals)
-            chosen = [*chosen[:-1], replace(chosen[-1], cause_set=cause_set)]
-            if exchange.found is not None:
-                trial = [*chosen[:-1], exchange.found.first]
-                other = refits.extensions.get(trial[-1].cause) or extend_problem(problem, trial)
-                if (other_test := assess(other, trial)).p_value < level:
-                    chosen, extension, last = trial, other, other_test
-                    combinations.append((trial[-1].cause, *exchange.found.others))
-        selected = chosen
-        problem, fit, linearized = extension
-        if ends:
-            break
-    while len(selected) > 1 and last.p_value >= level:
-        for others, extension in find_needless(problem, selected, fit, first.critical_value(level)):
-            if (without := assess(extension, others)).p_value >= level:
-                selected, last = others, without
-                problem, fit, linearized = extension
+            chosen, extension, last = self.exchange(chosen, extension, last, refits)
+        self.selected, self.extension, self.last = chosen, extension, last
+        return True
+
+    def choose_cause(self, refits: Refits, searched: LinearizedFit) -> list[SelectedCause]:
+        """The selected causes and the next one; unknown structure with a law for it where there is one."""
+        problem, last, ahead_of_pairs = self.extension[0], self.last, np.inf
+        following = make_selected(last, form_cause_set(last), refits.starts)
+        if following.cause == UNKNOWN:
+            pairs = first_of_pair(problem, self.selected, last)
+            ahead_of_pairs = pairs.behind
+            if pairs.found is not None:
+                following = pairs.found.first
+                self.combinations.append((following.cause, *pairs.found.others))
+        support = assess_support(searched, last, following.cause)
+        if support.too_narrow:
+            broad = find_broad_cause(searched, last, following.cause)
+            if broad == UNKNOWN and problem.skewness is None:
+                self.influential = support.outlying
+            following = make_selected(last, form_cause_set(last, broad), refits.starts)
+        if following.cause != UNKNOWN:
+            return [*self.selected, following]
+        chosen = [*self.selected, replace(following, ahead_of_pairs=ahead_of_pairs)]
+        chosen = propose_term(searched, chosen, problem.expressions, self.rng)
+        return self.replace_unknown(chosen, searched) if _ends_search(chosen[-1], len(problem)) else chosen
+
+    def replace_unknown(
+        self, chosen: Sequence[SelectedCause], searched: LinearizedFit
+    ) -> list[SelectedCause]:
+        """A cause in the place of unknown structure that would end the search, if likelier beside such."""
+        *others, unknown = chosen
+        beside = find_beside_unknown(self.extension[0], searched, unknown, self.level)
+        if beside.found is not None:
+            self.combinations.append((beside.found.first.cause, *beside.found.others))
+            return [*others, beside.found.first]
+        return [*others, replace(unknown, ahead_of_pairs=min(unknown.ahead_of_pairs, beside.behind))]
+
+    def exchange(
+        self, chosen: list[SelectedCause], extension: Extension, last: Misfit, refits: Refits
+    ) -> tuple[list[SelectedCause], Extension, Misfit]:
+        """The last cause with its rivals, or one of these in its place if likelier with another cause."""
+        problem = self.extension[0]
+        exchange = find_exchange(problem, chosen, extension, last, refits, self.level)
+        cause_set = chosen[-1].cause_set.with_rivals(exchange.rivals)
+        chosen = [*chosen[:-1], replace(chosen[-1], cause_set=cause_set)]
+        if exchange.found is not None:
+            trial = [*chosen[:-1], exchange.found.first]
+            other = refits.extensions.get(trial[-1].cause) or extend_problem(problem, trial)
+            if (other_test := self.assess(other, trial)).p_value < self.level:
+                self.combinations.append((trial[-1].cause, *exchange.found.others))
+                return trial, other, other_test
+        return chosen, extension, last
+
+    def drop_needless(self, most: float) -> None:
+        """Drop causes without which nothing is found, and the law is less likely by at most `most` nats."""
+        while len(self.selected) > 1 and self.last.p_value >= self.level:
+            problem, fit, _ = self.extension
+            for others, extension in find_needless(problem, self.selected, fit, most):
+                if (without := self.assess(extension, others)).p_value >= self.level:
+                    self.selected, self.extension, self.last = others, extension, without
+                    break
+            else:
                 break
-        else:
-            break
-    selected = name_combinations(selected, combinations)
-    everything = (*misfires, *selected)
-    results = first, last, p_value, fit, linearized
-    return Selection(problem, outliers, everything, *results, tuple(sorted(failed)), influential)
 
 
 def widen_selection(selection: Selection, causes: Sequence[Any], alpha: float) -> Selection | None:
@@ -317,10 +352,16 @@ def widen_selection(selection: Selection, causes: Sequence[Any], alpha: float) -
     return replace(selection, problem=replace(problem, causes=tuple(causes)), last_misfit=last)
 
 
-def _is_large(version: Any, n: int) -> bool:
-    """Whether a law for structure without a name has so many parameters of sessions that a search ends."""
-    most = min(MAX_OWN_PARAMETERS, n // ROWS_PER_PARAMETER)
-    return bool(getattr(version, "sessions", ())) and len(version.parameters) > most
+def _ends_search(selected: SelectedCause, n: int) -> bool:
+    """Whether nothing can be found beside unknown structure, among n rows.
+
+    There is no law for it, or one of what carries over, or with many parameters of each session.
+    """
+    version: Any = selected.version
+    if version is None or isinstance(version, CarryOverTerm):
+        return True
+    most = min(MAX_OWN_PARAMETERS, n // ROWS_PER_PARAMETER) if getattr(version, "sessions", ()) else np.inf
+    return selected.cause == UNKNOWN and len(version.parameters) > most
 
 
 def follows(selected: SelectedCause, carrier: str) -> bool:
@@ -332,13 +373,10 @@ def follows(selected: SelectedCause, carrier: str) -> bool:
 
 def find_broad_cause(linearized: LinearizedFit, misfit: Misfit, narrow: str) -> str:
     """The likeliest cause after one that rests on few rows, likelier than `UNKNOWN`, that does not."""
-    evidence = misfit.log_evidence_by_cause
-    least = evidence.get(UNKNOWN, 0.0) + PAIR_MIN_LOG_BAYES_FACTOR
-    others = sorted(evidence.keys() - {UNKNOWN, narrow}, key=lambda cause: (-evidence[cause], cause))
-    for cause in others:
-        if evidence[cause] > least and not assess_support(linearized, misfit, cause).too_narrow:
-            return cause
-    return UNKNOWN
+    least = misfit.log_evidence_by_cause.get(UNKNOWN, 0.0) + PAIR_MIN_LOG_BAYES_FACTOR
+    others = misfit.rank_causes(least, [narrow])
+    broad = (cause for cause in others if not assess_support(linearized, misfit, cause).too_narrow)
+    return next(broad, UNKNOWN)
 
 
 def explain_outliers(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> IntArray:
@@ -426,7 +464,9 @@ def _estimate_noise_left(
     return explain_unevenness(problem, linearized, misfit, left, noise), left
 
 
-def _quieten(extension: Extension, selected: Sequence[SelectedCause], misfit: Misfit) -> Extension | None:
+def _reduce_noise(
+    extension: Extension, selected: Sequence[SelectedCause], misfit: Misfit
+) -> Extension | None:
     """An extension with the noise that its residuals have without structure, if that is much smaller.
 
     In larger noise the law for that structure would be too smooth.

@@ -18,13 +18,13 @@ from scipy.special import ndtr, ndtri
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause
+from stickslip_fit.diagnosis.evidence import group_directions
 from stickslip_fit.diagnosis.extension import assess_residuals
 from stickslip_fit.diagnosis.hypotheses import (
     Hypothesis,
     build_candidates,
     compute_effects,
     compute_finite_effects,
-    group_directions,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1

@@ -9,12 +9,11 @@ stored for their rows only, and what is independent for each joint and direction
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import (
@@ -181,14 +180,11 @@ def _join_profiles(ending: str, profiles: Sequence[Hypothesis]) -> Hypothesis | 
     terms = [one.version for one in profiles]
     if len({(one.orders, one.sds) for one in terms}) > 1:
         return None
-    shared = {field.name: getattr(terms[0], field.name) for field in fields(terms[0])}
-    shared |= {"on": tuple(place for one in terms for place in one.on)}
-    shared |= {"sessions": tuple(dict.fromkeys(name for one in terms for name in one.sessions))}
     travel = tuple((one.on[0][0], *one.limits[0]) for one in terms)
     return replace(
         profiles[0],
         cause=f"unknown:{POSITION}, each joint, in each session{ending}",
-        version=TravelTerm(**shared, travel=travel),
+        version=TravelTerm.of(terms, travel=travel),
         blocks=tuple(block for one in profiles for block in one.blocks),
         prior_share=np.concatenate([one.length**2 * one.prior_share for one in profiles])
         / sum(one.length**2 for one in profiles),
@@ -239,6 +235,16 @@ class _Subspace:
     directions: Array
     variance: Array
 
+    @classmethod
+    def of(cls, rows: IntArray | slice, effects: Array, products: Array, least: float) -> _Subspace | None:
+        """Of effects in some rows, (s, m), by their products; None where these come to less than `least`."""
+        variance, right = (products[0], np.ones((1, 1))) if len(products) == 1 else np.linalg.eigh(products)
+        total = float(variance.sum())
+        if total < least:
+            return None
+        kept = variance > MIN_VARIANCE * total
+        return cls(rows, effects @ (right[:, kept] / np.sqrt(variance[kept])), variance[kept])
+
 
 @dataclass(frozen=True, eq=False)
 class _Effects:
@@ -254,9 +260,6 @@ class _Builder:
 
     def __init__(self, linearized: LinearizedFit) -> None:
         self.linearized = linearized
-        n_own = sum(block.shape[1] for _, block in linearized.blocks)
-        self.basis = linearized.basis[:, :n_own]
-        self.basis_transposed = csr_array(self.basis.T)
         self.shared_basis = linearized.shared_basis
         self.sign = linearized.direction_sign
         joint = linearized.rows["joint"].to_numpy()
@@ -264,14 +267,10 @@ class _Builder:
         session = linearized.rows["session"].astype(object).to_numpy()
         self.session_of = {str(name): session == name for name in dict.fromkeys(session)}
 
-    def project(self, columns: Array) -> Array:
-        """Each block's own calibration projected out, shape (n, m)."""
-        return columns - self.basis @ (self.basis_transposed @ columns)
-
     def effects(self, functions: Array) -> _Effects:
         """Of functions, shape (n, m)."""
         whitened = functions / self.linearized.scale[:, None]
-        return _Effects(whitened, self.project(whitened), np.sum(whitened**2, axis=1))
+        return _Effects(whitened, self.linearized.project_own(whitened), np.sum(whitened**2, axis=1))
 
     def shapes(self, name: str, term: SmoothTerm, effects: _Effects) -> list[Hypothesis]:
         """The ways in which joints and directions may share some functions."""
@@ -364,12 +363,8 @@ class _Builder:
         projected = self.linearized.project(np.concatenate(columns, axis=1))
         rows = find_rows(projected)
         projected = projected[rows]
-        variance, right = np.linalg.eigh(projected.T @ projected)
-        kept = variance > MIN_VARIANCE * max(float(variance.sum()), EFFECT_TOL**2)
-        if not kept.any():
-            return None
-        directions = projected @ (right[:, kept] / np.sqrt(variance[kept]))
-        return replace(version, common=COMMON), [_Subspace(rows, directions, variance[kept])]
+        found = _Subspace.of(rows, projected, projected.T @ projected, EFFECT_TOL**2)
+        return (replace(version, common=COMMON), [found]) if found else None
 
     def subspace(
         self, effects: _Effects, sign: Array | None = None, rows: IntArray | None = None
@@ -382,17 +377,12 @@ class _Builder:
         if not self.linearized.separates_directions:  # then what calibration leaves has rows in both
             signed = np.zeros_like(effects.whitened)
             signed[subset] = own
-            own, subset = self.project(signed), slice(None)
+            own, subset = self.linearized.project_own(signed), slice(None)
         products = own.T @ own
         if self.shared_basis.shape[1]:
             shared = self.shared_basis[subset].T @ own
             products -= shared.T @ shared
-        variance, right = (products[0], np.ones((1, 1))) if len(products) == 1 else np.linalg.eigh(products)
-        total = float(variance.sum())
-        if total < max(EFFECT_TOL**2, MIN_SHARE * before):
-            return None
-        kept = variance > MIN_VARIANCE * total
-        return _Subspace(subset, own @ (right[:, kept] / np.sqrt(variance[kept])), variance[kept])
+        return _Subspace.of(subset, own, products, max(EFFECT_TOL**2, MIN_SHARE * before))
 
     def make(
         self, name: str, version: SmoothTerm, parts: Sequence[_Subspace | None], sign: Array | None = None
@@ -406,8 +396,7 @@ class _Builder:
         variance = np.concatenate([part.variance for part in known])
         blocks = tuple((part.rows, part.directions) for part in known)
         length, share = float(np.sqrt(variance.sum())), variance / variance.sum()
-        n = len(self.linearized)
-        shared = self.linearized.shared
+        n, shared = len(self.linearized), self.linearized.shared
         return Hypothesis(
             f"unknown:{name}", version, None, n, blocks, share, length, sign=sign, shared=shared
         )

@@ -13,7 +13,6 @@ from stickslip_fit.diagnosis.hypotheses import (
     EFFECT_TOL,
     SessionFit,
     compute_effects,
-    compute_session_effects,
     count_failed,
     split_sessions,
 )
@@ -73,11 +72,9 @@ def largest_strength(
         factor = np.where(scaled | cause.combine_trials, cause.max_trial_factor, 1.0)
         sizes = values if largest else values * factor
         combined = cause.combine_trials and not largest
+        where = sessions[version.session] if version.session else linearized
         for some in [sizes] if combined else filter(len, (sizes[:1], sizes[1:])):
-            if version.session:
-                effects = compute_session_effects(sessions[version.session], version, some)
-            else:
-                effects = compute_effects(linearized, version, some)
+            effects = compute_effects(where, version, some)
             own = _largest_combination(effects) if combined else np.linalg.norm(effects, axis=0).max()
             strongest = max(strongest, share * float(own))
             if strongest >= MIN_TESTABLE_STRENGTH:

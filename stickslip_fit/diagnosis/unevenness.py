@@ -23,7 +23,7 @@ import pandas as pd
 from scipy.sparse import csr_array
 from scipy.special import poch
 
-from stickslip_fit._rows import unique_rows
+from stickslip_fit._rows import rank_within, unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.proposed import POSITION
 from stickslip_fit.diagnosis.linearized import LinearizedFit
@@ -238,6 +238,7 @@ def group_rows(
     """Groupings of rows within which the noise may be larger, by what the rows of a group have in common."""
     rows, n = linearized.rows, len(linearized)
     session = pd.factorize(rows["session"].astype(object))[0]
+    part = rank_within(session) * N_PARTS // np.bincount(session)[session]  # in the order of the rows
     joint, everywhere = np.zeros(n, dtype=int), np.zeros(n, dtype=int)
     labels: dict[str, npt.NDArray[np.integer]] = {}
     if {"joint", "start", "stop", "before_load"} <= set(rows.columns):
@@ -249,7 +250,7 @@ def group_rows(
         labels[POSITION] = _bin(_estimate_local_sds(ends, joint, residuals), joint)
     groupings = {
         "session": _make_grouping(session, everywhere, 0),
-        "part of a session": _make_grouping(session * N_PARTS + _part_of_session(session), everywhere),
+        "part of a session": _make_grouping(session * N_PARTS + part, everywhere),
         "configuration": _make_grouping(configuration, joint),
         **{name: _make_grouping(label, joint) for name, label in labels.items()},
     }
@@ -265,14 +266,6 @@ def _make_grouping(
 ) -> Grouping:
     _, first, labels = np.unique(labels, return_index=True, return_inverse=True)
     return Grouping(labels.ravel().astype(np.intp), stratum[first].astype(np.intp), steps)
-
-
-def _part_of_session(session: npt.NDArray[np.integer]) -> npt.NDArray[np.integer]:
-    """Which of `N_PARTS` of its session a row belongs to, by the order of the rows, shape (n,)."""
-    order, size = np.argsort(session, kind="stable"), np.bincount(session)
-    place = np.empty(len(session), dtype=np.intp)
-    place[order] = np.arange(len(session)) - np.repeat(np.cumsum(size) - size, size)
-    return place * N_PARTS // size[session]
 
 
 def _bin(values: Array, joint: npt.NDArray[np.integer]) -> npt.NDArray[np.integer]:
@@ -468,9 +461,7 @@ def _likely_windows(log: Array, steps: int) -> Array:
     `log`, shape (df, m, K), is the log likelihood of each group. Windows span `steps`; the likeliest are
     taken, each group at its best in them.
     """
-    first, place = (
-        np.argsort(-_reach(log, steps), axis=1)[:, None, :MAX_WINDOWS],
-        np.arange(log.shape[2])[:, None],
-    )
+    first = np.argsort(-_reach(log, steps), axis=1)[:, None, :MAX_WINDOWS]
+    place = np.arange(log.shape[2])[:, None]
     inside = (place >= first) & (place <= first + steps)
     return np.concatenate([np.ones((len(log), len(place), 1)), inside], axis=2)

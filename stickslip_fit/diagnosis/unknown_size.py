@@ -28,21 +28,14 @@ from stickslip_fit.diagnosis.effect_interval import (
     linearize_unweighted,
     strength_interval,
 )
+from stickslip_fit.diagnosis.evidence import STRENGTHS, batch_hypotheses, strength_evidence
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength, expect_noise
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, joints_of_laws
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.lack_of_fit import LackOfFit
 from stickslip_fit.diagnosis.linearized import LinearizedFit, rms
 from stickslip_fit.diagnosis.memory import AR1
-from stickslip_fit.diagnosis.misfit import (
-    MAX_EXPLAINED,
-    STRENGTHS,
-    UNKNOWN,
-    Misfit,
-    batch_hypotheses,
-    classify_cause,
-    remove_structure,
-)
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause, remove_structure
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.units import Z_95, Interval
 
@@ -55,8 +48,7 @@ MIN_LEFT = 0.01  # share of the square of an alternative's effect that what stan
 
 def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) -> Finding:
     """The finding of unknown structure in the residuals that a selection leaves."""
-    misfit, linearized = selected.misfit, selection.linearized
-    assert misfit is not None
+    misfit, linearized = selected.test, selection.linearized
     evidence = {UNKNOWN: -np.inf} | misfit.log_evidence_by_cause
     # A cause may be likelier that rests on one or two rows, and is not named.
     strongest = UNKNOWN if selected.version is not None else max(evidence, key=lambda name: evidence[name])
@@ -139,8 +131,7 @@ class _Component:
 
 def _size_structure(selection: Selection, selected: SelectedCause, shape: Array, alpha: float) -> Interval:
     """Rms of unknown structure, of which `shape`, (n,), is an estimate, whitened."""
-    problem, misfit = selection.problem, selected.misfit
-    assert misfit is not None
+    problem, misfit = selection.problem, selected.test
     linearized, plain = selection.linearized, linearize_unweighted(selection)
     law, candidates, left = None, _alternatives(misfit, selected.cause), None
     if selected.version is None:
@@ -198,15 +189,12 @@ def _weigh_components(
 ) -> list[_Component]:
     """Candidates, of a `number` that are equally likely beforehand, at each strength, given the residuals."""
     residual, components = linearized.residual, []
-    total = float(residual @ residual)
     for one in candidates:
-        along = one.coefficients(residual)
-        for strength in STRENGTHS:
-            signal = strength**2 * one.prior_share
-            kept = signal / (1.0 + signal)
-            explained = min(float(kept @ along**2) / max(total, np.finfo(float).tiny), MAX_EXPLAINED)
-            log_evidence = -0.5 * float(np.sum(np.log1p(signal))) - 0.5 * linearized.df * np.log1p(-explained)
-            log_weight = log_evidence - np.log(number * len(STRENGTHS))
+        along, signal = one.coefficients(residual), STRENGTHS[:, None] ** 2 * one.prior_share
+        evidence = strength_evidence(signal, along, residual, linearized.df)
+        for kept, log_weight in zip(
+            signal / (1.0 + signal), evidence - np.log(number * len(STRENGTHS)), strict=True
+        ):
             components.append(_Component(one, kept * along, np.sqrt(kept), float(log_weight)))
     return components
 

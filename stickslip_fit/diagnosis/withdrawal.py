@@ -47,10 +47,9 @@ def withdraw_causes(
         return _withdraw_terms(selection, findings, unsupported)
     names = [one.cause for one in withdrawn]
     first = next(one for one in selection.selected if one.cause in names)
-    assert first.misfit is not None
     withdrawn.sort(key=lambda one: one.cause != first.cause)
     unknown = replace(
-        first, cause=UNKNOWN, version=None, start=np.zeros(0), cause_set=form_cause_set(first.misfit, UNKNOWN)
+        first, cause=UNKNOWN, version=None, start=np.zeros(0), cause_set=form_cause_set(first.test, UNKNOWN)
     )
     before = [one for one in findings if one.withdrawn]
     withdrawn += [one for finding in before for one in finding.withdrawn]
@@ -77,7 +76,7 @@ def withdraw_causes(
         carrier=_name_carrier(withdrawn[0]),
         note="; ".join(_explain(one, info) for one in withdrawn),
         withdrawn=tuple(withdrawn),
-        **compare_causes(first.misfit, first.cause),
+        **compare_causes(first.test, first.cause),
     )
     return smaller, (*kept, finding)
 

@@ -126,7 +126,7 @@ LEGEND = (
 ARM_WIDTH, ELLIPSE_WIDTH, MIN_HEIGHT = 24, 13, 7  # below which there is nothing to be seen
 GAP = 2
 ELLIPSE_POINTS = 256  # enough for a closed line of dots
-RANGE_SPACING, RANGE_TICK = 3, 2  # dots between those of joint 3's range, and beside the arm at its ends
+RANGE_SPACING = 3  # dots between those of joint 3's range
 BAR_SHARE = 0.6  # of the width, at most, for the bar that shows the scale
 
 

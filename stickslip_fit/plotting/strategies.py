@@ -135,7 +135,6 @@ def _choose_markers(names: Sequence[str]) -> dict[str, tuple[str, str]]:
     return dict(zip(names, styles, strict=False))
 
 
-TIP_KEY, TIP_TITLE = "tip-errors", "Where the tip ends after open-loop moves"
 JOINT_COLOURS = dict(zip(JOINTS, (VERMILLION, GREEN, PURPLE), strict=True))
 BOX_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 TIP_LINE_HEIGHT = 0.19  # inches a strategy

@@ -8,10 +8,11 @@ from scipy.stats import kstest, multivariate_normal, ncx2, norm
 
 from stickslip_fit.causes import Drift, ThermalWarmUp
 from stickslip_fit.diagnosis.effect_interval import noncentral_tail, strength_interval
+from stickslip_fit.diagnosis.evidence import STRENGTHS, batch_hypotheses
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 from stickslip_fit.diagnosis.linearized import fit_extended, linearize_fit
 from stickslip_fit.diagnosis.memory import AR1, Sequences, log_memory_evidence
-from stickslip_fit.diagnosis.misfit import STRENGTHS, batch_hypotheses, compute_misfit
+from stickslip_fit.diagnosis.misfit import compute_misfit
 from stickslip_fit.diagnosis.noise import find_outliers
 from stickslip_fit.laws import Prismatic
 

@@ -6,7 +6,7 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit.causes import CauseParameter, FactorCause
-from stickslip_fit.diagnosis import combinations, hypotheses
+from stickslip_fit.diagnosis import hypotheses, refits
 from stickslip_fit.diagnosis._json import diagnosis_to_json
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 
@@ -162,9 +162,9 @@ def test_a_cause_whose_eigenvalues_do_not_converge_is_dropped_with_a_note(monkey
 
 
 def test_a_cause_whose_fit_fails_is_dropped_with_a_note(monkeypatch):
-    real = combinations.fit_causes
+    real = refits.fit_causes
     monkeypatch.setattr(
-        combinations,
+        refits,
         "fit_causes",
         lambda problem, selected: failing() if selected else real(problem, selected),
     )

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from scipy.stats import chi2
 
+from stickslip_fit.diagnosis.evidence import batch_hypotheses
 from stickslip_fit.diagnosis.hypotheses import (
     build_per_session_hypotheses,
     build_session_hypotheses,
@@ -14,12 +15,7 @@ from stickslip_fit.diagnosis.hypotheses import (
 )
 from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
 from stickslip_fit.diagnosis.memory import AR1, Sequences
-from stickslip_fit.diagnosis.misfit import (
-    StructureRemoved,
-    batch_hypotheses,
-    compute_misfit,
-    remove_structure,
-)
+from stickslip_fit.diagnosis.misfit import StructureRemoved, compute_misfit, remove_structure
 from stickslip_fit.diagnosis.noise import estimate_noise, find_outliers, shrink_variances
 from stickslip_fit.diagnosis.separability import compute_cosines
 from stickslip_fit.diagnosis.unknown_size import estimate_ar1_effect

@@ -8,13 +8,13 @@ from scipy.special import logsumexp, softmax
 from scipy.stats import t as student_t
 
 from stickslip_fit.diagnosis.alternatives import _cosines_and_sines
+from stickslip_fit.diagnosis.evidence import batch_hypotheses
 from stickslip_fit.diagnosis.extension import assess_residuals
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 from stickslip_fit.diagnosis.misfit import (
     MAX_DETECTION_LENGTH,
     TAIL_DF,
     _tail_probabilities,
-    batch_hypotheses,
     compute_misfit,
     detection_length,
     winsorize,

@@ -12,11 +12,12 @@ from stickslip_fit.causes.registry import describe, restore
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes, build_unstructured_alternatives
 from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.evidence import STRENGTHS, batch_hypotheses, group_directions
 from stickslip_fit.diagnosis.expressions import build_log_dictionary
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Gain
-from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes, group_directions
-from stickslip_fit.diagnosis.misfit import STRENGTHS, UNKNOWN, batch_hypotheses, compute_misfit
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes
+from stickslip_fit.diagnosis.misfit import UNKNOWN, compute_misfit
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.proposed_term import propose_term
 from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives

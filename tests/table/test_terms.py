@@ -6,7 +6,10 @@ import pytest
 from scipy.signal import lfilter
 
 import stickslip_fit as ssf
+from stickslip_fit.causes.roles import TableRoles
 from stickslip_fit.causes.table_terms import PREDICTION, PeriodicTableTerm, ProposedTableTerm, SmoothTableTerm
+from stickslip_fit.diagnosis.alternatives import attribute_to_causes
+from stickslip_fit.diagnosis.table import problem_from_table
 from tests.differences import numeric_slopes
 
 
@@ -211,6 +214,15 @@ def test_an_alternative_by_direction_is_signed_before_the_noise_is_filtered():
     expected = linearized.project(linearized.whiten(np.asarray(frame["way"])[:, None] * functions))
     outside = shape.directions - expected @ np.linalg.lstsq(expected, shape.directions, rcond=None)[0]
     assert np.abs(outside).max() < 1e-9
+
+
+def test_offsets_of_groups_are_no_function_of_a_column_that_is_called_group():
+    rng = np.random.default_rng(1)
+    rows = pd.DataFrame(rng.normal(size=(60, 3)), columns=["x", "y", "group"])
+    rows["lab"] = np.repeat(["a", "b", "c"], 20)
+    problem, _ = problem_from_table(rows, "y ~ a + b*x", roles=TableRoles(group="lab"))
+    found = attribute_to_causes(problem.alternatives(problem.linearize()), problem.causes, ())
+    assert {"unknown:group", "covariate:group"} <= {one.cause for one in found}
 
 
 def test_what_comes_and_goes_slowly_at_irregular_times_gets_a_law():

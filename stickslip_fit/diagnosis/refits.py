@@ -1,0 +1,182 @@
+"""Refits: the evidence of the likeliest causes, each with its parameters fitted beside all others.
+
+A test knows a cause at few values of its parameters, and the linear part of its effect alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from stickslip_fit._typing import Array
+from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR, form_cause_set, limit_evidence
+from stickslip_fit.diagnosis.extension import (
+    Extension,
+    SelectedCause,
+    extend_problem,
+    fit_causes,
+    make_selected,
+)
+from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, compute_effects
+from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
+from stickslip_fit.diagnosis.misfit import Misfit
+from stickslip_fit.diagnosis.problem import DiagnosisProblem
+
+# Nats of a cause that is refitted before one is named, and the share of the largest evidence that it has.
+MIN_REFIT_LOG_BAYES_FACTOR, MIN_REFIT_SHARE = 10.0, 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Refits:
+    """A test whose likeliest causes were refitted.
+
+    Attributes
+    ----------
+    misfit : Misfit
+        With their evidence after the refit.
+    starts : dict of str to array
+        Values of their parameters then.
+    extensions : dict of str to (DiagnosisProblem, ExtendedFit, LinearizedFit)
+        As of `extend_problem`, where the noise was re-estimated as well.
+    failed : tuple of str
+        Causes whose fit failed; the test no longer has them.
+    """
+
+    misfit: Misfit
+    starts: dict[str, Array]
+    extensions: dict[str, Extension]
+    failed: tuple[str, ...] = ()
+
+
+def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit) -> Refits:
+    """The test with the evidence of its likeliest causes after a refit of each.
+
+    The squared residuals that a refit leaves take the place of those that the best trial would leave, at the
+    price of the parameters that are no longer the trial's (`_refit_gain`). In a sampled signal the
+    likelihoods decide between causes that are refitted, each under the autocorrelation of the noise that it
+    leaves.
+    """
+    evidence, starts = dict(misfit.log_evidence_by_cause), dict[str, Array]()
+    extensions: dict[str, Extension] = {}
+    failed: list[str] = []
+    least = max(MIN_REFIT_SHARE * max(evidence.values(), default=0.0), MIN_REFIT_LOG_BAYES_FACTOR)
+    if not (likeliest := misfit.rank_causes(least)[: problem.n_refits]):
+        return Refits(misfit, starts, extensions)
+    before, likelihoods = problem.linearize_extended(fit_causes(problem, selected)), dict[str, float]()
+    residuals: dict[str, Array] = {}
+    for cause in likeliest:
+        trial = make_selected(misfit, form_cause_set(misfit, cause))
+        one = refine_trial(trial, before)
+        try:
+            fit = fit_causes(problem, [*selected, one])
+            after = problem.linearize_extended(fit)
+        except np.linalg.LinAlgError:
+            failed.append(cause)
+            continue
+        residuals[cause] = after.residual
+        left, df = _share_left(misfit, before, after)
+        gain = _refit_gain(misfit, cause, left, df)
+        shape = misfit.best_subspace(cause)
+        has_more_forms = len(shape.prior_share) > len(one.start)
+        is_penalised = np.isfinite(fit.prior_sd[len(fit.values) - len(one.start) :]).any()
+        if left > 0 and not has_more_forms and not is_penalised:
+            # No more than the best fit within the bounds; of a smooth cause this one is penalised.
+            evidence[cause] = min(evidence[cause], max(-0.5 * df * float(np.log(left)), 0.0))
+        evidence[cause] += gain
+        if gain > 0 or one is not trial:
+            starts[cause] = fit.values[len(fit.values) - len(one.start) :]
+        if problem.autocorrelation is not None and len(likeliest) > 1:
+            one = replace(one, start=starts.get(cause, one.start))
+            extensions[cause] = extended, fit, _ = extend_problem(problem, [*selected, one])
+            likelihoods[cause] = penalised_likelihood(extended, fit)
+    if likelihoods:
+        highest, best = max(evidence[cause] for cause in likelihoods), max(likelihoods.values())
+        evidence |= {cause: highest + likelihoods[cause] - best for cause in likelihoods}
+    evidence = {cause: value for cause, value in evidence.items() if cause not in failed}
+    evidence, inconsistent = _compare_sessions(problem, evidence, residuals, extensions)
+    left_over = replace(misfit, log_evidence_by_cause=evidence, inconsistent=inconsistent)
+    return Refits(left_over, starts, extensions, tuple(failed))
+
+
+def _compare_sessions(
+    problem: DiagnosisProblem,
+    evidence: dict[str, float],
+    residuals: Mapping[str, Array],
+    extensions: Mapping[str, Extension],
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """The evidence of causes, that of rivals limited where these are no less likely, neither being right.
+
+    `residuals` are those that a refit of each leaves.
+    """
+    if len(residuals) < 2:
+        return evidence, ()
+    best = max(residuals, key=evidence.__getitem__)
+    if best in extensions:  # in the noise that it leaves
+        noise = extensions[best][0]
+        residuals = {
+            cause: noise.linearize_extended(fit).residual for cause, (_, fit, _) in extensions.items()
+        }
+    session = pd.factorize(problem.rows["session"].astype(object))[0]
+    ahead = {cause: evidence[best] - evidence[cause] for cause in residuals}
+    limited = {
+        cause: limit_evidence(ahead[cause], residuals[best], own, session)
+        for cause, own in residuals.items()
+        if ahead[cause] > 0
+    }
+    inconsistent = tuple(
+        cause for cause in limited if limited[cause] < min(ahead[cause], CAUSE_SET_LOG_BAYES_FACTOR)
+    )
+    return evidence | {cause: evidence[best] - limited[cause] for cause in inconsistent}, inconsistent
+
+
+def penalised_likelihood(problem: DiagnosisProblem, fit: ExtendedFit) -> float:
+    """Log likelihood of laws with causes, less what the Bayesian information criterion takes.
+
+    It counts the causes' parameters, of those with a prior only what the data determine. The coefficients of
+    the noise are no part of the law.
+    """
+    determined = 1.0 - np.diag(fit.covariance) / fit.prior_sd**2
+    return problem.log_likelihood(fit) - 0.5 * float(np.sum(determined)) * float(np.log(len(problem)))
+
+
+def refine_trial(one: SelectedCause, before: LinearizedFit) -> SelectedCause:
+    """A cause whose start values are the best of its finer trials, if it has any."""
+    if not len(one.start) or not len(trials := one.version.finer_trials(before.rows, one.start)):
+        return one
+    effects = compute_effects(before, one.version, trials)
+    length = np.sqrt(np.sum(effects**2, axis=0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        explained = np.where(length > EFFECT_TOL, before.residual @ effects / length, 0.0)
+    return replace(one, start=trials[int(np.argmax(explained))])
+
+
+def _share_left(misfit: Misfit, before: LinearizedFit, after: LinearizedFit) -> tuple[float, int]:
+    """Squared residuals after a refit over those before it, and the degrees of freedom of the latter.
+
+    Of both without the other forms of causes in the law, if the test was without them.
+    """
+    residuals, df = np.stack([before.residual, after.residual], axis=1), before.df
+    if misfit.basis is not None and misfit.basis.shape[1] > before.basis.shape[1]:
+        residuals = residuals - misfit.basis @ (misfit.basis.T @ residuals)
+        df = len(residuals) - misfit.basis.shape[1]
+    first, last = np.sum(residuals**2, axis=0)
+    return float(last / first), df
+
+
+def _refit_gain(misfit: Misfit, cause: str, left: float, df: int) -> float:
+    """By how many nats a refit that leaves this share of the squared residuals is likelier than a trial.
+
+    Each parameter that the trials had on a grid is now known more closely than the grid's spacing: a gain of
+    2 x per parameter means that the spacing is sqrt(2 x) standard errors, of which the prior takes its share.
+    """
+    shape = misfit.best_subspace(cause)
+    whole = misfit.residual @ misfit.residual
+    explained = float(np.sum(shape.coefficients(misfit.residual) ** 2) / whole)
+    if not (np.isfinite(left) and 0.0 < left < 1.0 - explained):
+        return 0.0
+    gain = 0.5 * df * float(np.log((1.0 - explained) / left))
+    on_grid = max(len(shape.version.start_values) - len(shape.prior_share), 0)
+    return gain - 0.5 * on_grid * float(np.log1p(2.0 * gain / max(on_grid, 1)))
