@@ -34,7 +34,8 @@ def strength_evidence(signal: Array, along: Array, residual: Array, df: int) -> 
     `signal`, shape (S, m), is the prior variance along each direction over that of the noise, `along`, (m,),
     the coefficients of a residual, (n,).
     """
-    explained = (signal / (1.0 + signal)) @ along**2 / float(residual @ residual)
+    total = max(float(residual @ residual), np.finfo(float).tiny)
+    explained = (signal / (1.0 + signal)) @ along**2 / total
     return log_likelihood_ratio(explained, df) - 0.5 * np.log1p(signal).sum(axis=1)
 
 
@@ -259,7 +260,7 @@ class HypothesisBatch:
         `explained`, shape (S len(STRENGTHS), k), of sums of squares of the residuals, shape (k,).
         """
         log = explained.reshape(-1, len(STRENGTHS), len(total))
-        log /= -total
+        log /= -np.maximum(total, np.finfo(log.dtype).tiny)
         largest = MAX_EXPLAINED if log.dtype == np.float64 else 1.0 - 1e-6
         np.log1p(np.maximum(log, -largest, out=log), out=log)
         log *= -0.5 * self.df

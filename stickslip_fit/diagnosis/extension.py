@@ -48,7 +48,6 @@ OUTLIER_ALPHA_SHARE = 0.25
 # twice as often (`benchmarks/README.md`).
 SELECTION_FACTOR = 2
 MIN_OPEN = 0.5  # whitened norm of what lambda leaves open in an effect
-NOISE_PASSES, MUCH_LESS_NOISE = 4, 0.5  # of a penalised fit; noise over that assumed
 LOG_STRENGTHS = (0.0, 8.0)  # logarithm of the least and the greatest strength of a smooth effect
 MIN_FINER = 10.0  # nats, of a cause that is looked at more closely
 MIN_FORM_SHARE, MAX_FORMS = 0.003, 8  # of the square of all alternative forms; their number
@@ -165,8 +164,6 @@ def extend_problem(problem: DiagnosisProblem, selected: Sequence[SelectedCause])
     start = np.concatenate([np.zeros(0), *(one.start for one in causes)])
     versions = [one.version for one in causes]
     problem, fit = _fit_with_departures(problem, versions, start)
-    if np.isfinite(fit.prior_sd).any():
-        problem, fit = _refit_in_less_noise(problem, fit, causes)
     correlated = problem.with_autocorrelation(fit)
     if correlated is not problem:
         problem, fit = correlated, correlated.fit_extended(versions, fit.values)
@@ -234,24 +231,6 @@ def _fit_with_departures(
         problem = replace(problem, rows=add_departures(problem.rows, -fit.residual))
         fit = problem.fit_extended(versions, start)
         start = fit.values
-    return problem, fit
-
-
-def _refit_in_less_noise(
-    problem: DiagnosisProblem, fit: ExtendedFit, causes: Sequence[SelectedCause]
-) -> tuple[DiagnosisProblem, ExtendedFit]:
-    """A penalised fit again while the noise that it leaves is much smaller than was assumed.
-
-    Noise that was estimated beside a coarser law shrinks a smooth function too much.
-    """
-    versions = [one.version for one in causes]
-    for _ in range(NOISE_PASSES):
-        linearized = linearize_with_causes(problem, fit, causes)
-        left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
-        own = problem.with_noise(problem.estimate_noise(linearized, left))
-        if np.median(own.scale / problem.scale) > MUCH_LESS_NOISE:
-            break
-        problem, fit = own, own.fit_extended(versions, fit.values)
     return problem, fit
 
 
