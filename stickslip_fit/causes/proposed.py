@@ -159,16 +159,19 @@ class SmoothTerm(LinearFactor):
         values = np.broadcast_arrays(*(carrier_values(state, carrier) for carrier in self.carriers))
         waves = self.waves(values, self.limits_of(state.joint))
         functions = np.nan_to_num(wave_products(waves, self.orders)) * _sign(state, self.mode)[..., None]
+        return _side_by_side(functions[:, :, None, :] * self._acting(state)[:, None, :, None])
+
+    def _acting(self, state: State) -> Array:
+        """Of each session, joint and direction with functions of its own, where it acts: 1 or 0, (n, g)."""
+        acts = np.ones((len(state.position), 1))
         if self.on:
-            acts = np.stack(
-                [sum(_acts(state, joint, way) for joint, way in group) for group in self._groups], axis=-1
-            )[:, :, :, None]
-            functions = _side_by_side(functions[:, :, None, :] * acts)
-        if self.sessions:
-            names = np.asarray(state.row["session"], dtype=object)[:, None] == np.array(self.sessions, object)
-            own = _side_by_side(names[:, None, :, None] * functions[:, :, None, :])
-            functions = np.concatenate([functions, own], axis=-1) if self.common else own
-        return np.asarray(functions)
+            ways = [sum(_acts(state, joint, way) for joint, way in group) for group in self._groups]
+            acts = np.concatenate(ways, axis=1)
+        if not self.sessions:
+            return acts
+        inside = np.asarray(state.row["session"], dtype=object)[:, None] == np.array(self.sessions, object)
+        own = (inside[:, :, None] * acts[:, None, :]).reshape(len(acts), inside.shape[1] * acts.shape[1])
+        return np.concatenate([acts, own], axis=1) if self.common else own
 
     def limits_of(self, joint: int) -> tuple[tuple[float, float], ...]:
         """Range of each carrier where this joint moves."""
