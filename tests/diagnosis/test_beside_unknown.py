@@ -4,6 +4,7 @@ As of real motors: each session and direction has a profile of its own along the
 file's own code, and every traverse its own ends.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,7 +35,19 @@ def profile(rng: np.random.Generator) -> np.ndarray:
     return 0.05 * np.exp(np.cos(phase) @ size[0] + np.sin(phase) @ size[1])
 
 
-def make_log(folder: Path, seed: int, effect: float) -> Diagnosis:
+def stretches(rng: np.random.Generator) -> np.ndarray:
+    """The same with details: each ten degrees have a step size of their own."""
+    return 0.05 * np.exp(0.2 * np.repeat(rng.standard_normal(36), 10))
+
+
+def make_log(
+    folder: Path,
+    seed: int,
+    effect: float,
+    profile: Callable[[np.random.Generator], np.ndarray] = profile,
+    noise: float = NOISE,
+    gain: bool = False,
+) -> Diagnosis:
     """Diagnose a log in which the supply voltage changes steps by `effect` (rms)."""
     rng, rows = np.random.default_rng(seed), []
     for session in range(SESSIONS):
@@ -45,13 +58,13 @@ def make_log(folder: Path, seed: int, effect: float) -> Diagnosis:
                 low = rng.uniform(0, 360 - length)
                 high, volts = low + length, rng.standard_normal()
                 count = np.diff(np.interp([low, high], np.arange(361), steps))[0]
-                count *= np.exp(NOISE * rng.standard_normal() - effect * volts)
+                count *= np.exp(noise * rng.standard_normal() - effect * volts)
                 ends = (low, high) if direction == "+" else (high, low)
                 rows.append((f"day {session}", 1, direction, round(count), 1, *ends, 60 + volts))
     names = ["session", "joint", "direction", "steps", "check_every", "from_deg", "to_deg", "supply_V"]
     pd.DataFrame(rows, columns=names).round(3).to_csv(folder / "log.csv", index=False)
     (folder / "stage.toml").write_text(MACHINE, encoding="utf-8")
-    return diagnose(read_log(folder / "log.csv", machine=load_machine(folder / "stage.toml")), gain=False)
+    return diagnose(read_log(folder / "log.csv", machine=load_machine(folder / "stage.toml")), gain=gain)
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +97,22 @@ def test_profiles_alone_are_unknown_and_nothing_else(tmp_path: Path) -> None:
     """What each session and direction has for itself is no cause's."""
     (unknown,) = make_log(tmp_path, seed=7, effect=0.0).findings
     assert unknown.cause == "unknown"
+    assert len(unknown.version.sds) < 20
     assert unknown.carrier.startswith("position")
+
+
+def test_a_law_for_profiles_has_their_details(tmp_path: Path) -> None:
+    """Cosines of up to half the 36 stretches have 0.8 of their variance; smooth profiles need fewer."""
+    (unknown,) = make_log(tmp_path, seed=6, effect=0.0, profile=stretches, noise=0.005).findings
+    assert len(unknown.version.sds) > 20
+
+
+@pytest.mark.nightly
+def test_a_law_with_details_predicts_better(tmp_path: Path) -> None:
+    """Functions of a tenth of the travel or longer leave 9.2 % of 13.0."""
+    diagnosis = make_log(tmp_path, seed=6, effect=0.0, profile=stretches, noise=0.005, gain=True)
+    assert diagnosis.gain is not None
+    assert diagnosis.gain.extended < 0.082
 
 
 @pytest.mark.nightly

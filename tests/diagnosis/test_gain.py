@@ -58,8 +58,8 @@ SELECT = partial(select_in_fold, alpha=ALPHA)
 def problem():
     """A hidden log as a problem with a few causes and one unstructured alternative, to be quick."""
 
-    def made(hidden):
-        causes = [cause for cause in library() if cause.name in FEW]
+    def made(hidden, names=FEW):
+        causes = [cause for cause in library() if cause.name in names]
         own_problem, _ = problem_from_log(read_hidden(hidden), causes)
         return replace(own_problem, alternatives=waves)
 
@@ -172,6 +172,19 @@ def test_causes_stay_known_in_what_is_left(problem):
 
     kinds = number_session_configurations(own_problem.rows)
     assert least_left(make_folds(study, kinds, _rng(), effects)) >= 5.0
+
+
+def test_the_traverses_beside_a_lasting_change_stay_in_training(problem):
+    """Which of the two it lies between is a guess without either."""
+    hidden = hide("session", ("session-jump",), 25, seed=3, forms={"session-jump": "table"})
+    own_problem = problem(hidden, ("session-jump", "drift"))
+    selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, np.random.default_rng(0))
+    rows, (moment,) = selection.problem.rows, [one.start[1] for one in selection.law_causes]
+    seconds = rows["session_seconds"].to_numpy(float)
+    last, first = seconds[seconds < moment].max(), seconds[seconds >= moment].min()
+    held_out = np.concatenate([split.held_out for split in splits_of(selection)])
+    assert len(held_out) > 0.8 * len(rows)
+    assert not {last, first} & set(seconds[held_out])
 
 
 def test_what_is_held_out_has_no_part_in_its_own_prediction(problem):
