@@ -217,10 +217,21 @@ def problems_with_causes(
     for problem, values in zip(published, remainder.values, strict=True):
         extended = single_problem(ExtendedLaw(problem.law, chosen), problem.rows, options)
         of_group = values[np.unique(problem.groups.of_row, return_index=True)[1]]
-        first = np.column_stack([of_group, np.tile(start, (len(of_group), 1))])
-        problems.append(replace(extended, start=np.clip(first, extended.lower, extended.upper)))
+        problems.append(_begin_at(extended, of_group, start))
+    if not all(
+        np.isfinite(problem.model(problem.start[problem.groups.of_row])[0]).all() for problem in problems
+    ):
+        # Sizes by linear effects, under which a joint would stall.
+        start = np.concatenate([cause.start_values for cause in chosen])
+        problems = [_begin_at(one, one.start[:, : -len(start)], start) for one in problems]
     prior_sd = np.array([parameter.prior_sd for cause in chosen for parameter in cause.parameters])
     return problems, combined_problem(problems, len(start), prior_sd)
+
+
+def _begin_at(problem: JointProblem, own: Array, start: Array) -> JointProblem:
+    """The problem with start values of each group, shape (g, p), and of the causes, (q,), within bounds."""
+    first = np.column_stack([own, np.tile(start, (len(own), 1))])
+    return replace(problem, start=np.clip(first, problem.lower, problem.upper))
 
 
 def published_problem(problem: JointProblem) -> JointProblem:

@@ -23,8 +23,9 @@ from stickslip_fit.causes import (
     WornSpot,
 )
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation import Result, fit_least_squares, load_result
+from stickslip_fit.estimation import Result, fit_least_squares, load_result, with_causes
 from stickslip_fit.estimation.result import ALL_JOINTS
+from stickslip_fit.estimation.with_causes import initial_guess
 from stickslip_fit.logs import Log, read_log
 
 A, TAU, LATE = 0.04, 1500.0, 200.0
@@ -217,6 +218,16 @@ def test_a_version_of_its_own_keeps_its_session(knocked):
 def test_what_cannot_be_fitted_is_refused(causes, options, reason, warm):
     with pytest.raises(InputError, match=reason):
         fit_least_squares(warm, causes=causes, **options)
+
+
+def test_a_start_under_which_a_joint_stalls_is_left_for_one_without_effect(warm, result, monkeypatch):
+    def guess(*arguments):
+        chosen, start = initial_guess(*arguments)
+        return chosen, np.where(np.arange(len(start)) == 0, -5.0, start)
+
+    monkeypatch.setattr(with_causes, "initial_guess", guess)
+    found = causes_of(fit_least_squares(warm, causes=(WARM_UP, LATENCY)))["estimate"]
+    np.testing.assert_allclose(found, causes_of(result)["estimate"], rtol=1e-4)
 
 
 def test_a_bound_holds_a_cause_s_parameter_back(warm):
