@@ -120,7 +120,8 @@ def _likeliest_function(shape: Hypothesis, linearized: LinearizedFit, residual: 
     term = shape.version
     usual = replace(term, common=term.common or COMMON_IN_LAW) if term.sessions else term
     shape = _likeliest([usual], shape, linearized, residual)
-    others = (finer for one in dict.fromkeys((usual, term)) for finer in (one, *_with_details(one)))
+    versions = (one for form in dict.fromkeys((usual, term)) for one in (form, *_with_details(form)))
+    others = [one for one in versions if one != usual]
     best = _likeliest(others, shape, linearized, residual)
     evidence, usual_evidence = (_fit_strength(one, residual, linearized.df)[0] for one in (best, shape))
     return best if evidence > usual_evidence + CLEARLY_LIKELIER else shape
