@@ -1,9 +1,9 @@
 """95 % interval of the gain that a repeated campaign would show, by approximate Bayesian computation.
 
-Effect strengths are drawn from a range around their estimates. For each draw two campaigns are
-simulated, linearized at the fit, each with its noise and a selection that may miss a cause or choose
-another one. Among the draws whose first campaign resembles the log, the second campaigns give
-the interval (D. B. Rubin, Ann. Stat. 12:1151, 1984).
+Effect strengths are drawn from a range around their estimates, and how well the law's form predicts
+held-out rows. For each draw two campaigns are simulated, linearized at the fit, each with its noise and
+a selection that may miss a cause or choose another one. Among the draws whose first campaign resembles
+the log, the second campaigns give the interval (D. B. Rubin, Ann. Stat. 12:1151, 1984).
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ Recolouring = Callable[[Array], Array]
 N_DRAWS = 2400
 STRENGTH_RANGE = 4.0  # of the prior on a strength, on either side of the estimate
 RIVAL_LOG_EVIDENCE_SD = 4.0  # nats; spread of a rival's evidence, from the maximum over its other shapes
+EXACT_SHARE = 0.5  # of the draws, in which the law's form is that of the true effect
+MAX_MISFIT = 1.4  # of the others: held-out error over that of the exact form, at most
 ACCEPTED_SHARE = 0.15  # of the draws: those closest to the log
 MAX_ELEMENTS = 2_000_000  # numbers in memory
 MIN_LENGTH, RANK_TOL = 1e-12, 1e-6  # of a direction; of singular values
@@ -282,9 +284,12 @@ class _SimulatedReplicates:
     rms: Array
     lengths: Array
 
-    def gains(self, first: int, last: int) -> Array:
-        """Gain of the causes from one step to another, shape (t, m)."""
-        return self.rms[..., first] - self.rms[..., last]
+    def gains(self, first: int, last: int, misfit: Array) -> Array:
+        """Gain of the causes from one step to another, shape (t, m).
+
+        `misfit`, shape (m,), is the held-out error with the causes over that of causes of exact form.
+        """
+        return self.rms[..., first] - misfit * self.rms[..., last]
 
     def select(self, which: BoolArray) -> _SimulatedReplicates:
         """Some of the replicates."""
@@ -319,14 +324,18 @@ def simulate_gain_intervals(
     array, shape (t, 2, k + 1)
         Quantiles 0.025 and 0.975 of the gain of each cause after those before it, then of all.
     """
-    lengths = campaign.effect_lengths(Responses.of(campaign, campaign.effects)).diagonal()
+    total = campaign.effects.sum(axis=1, keepdims=True)
+    lengths = campaign.effect_lengths(Responses.of(campaign, total))[0]
     prepared = [[prepare_split(campaign.basis, split, campaign.recolour) for split in own] for own in sets]
     if beyond is not None:
         prepared = [
             [replace(one, beyond=campaign.spread_slopes(own)) for one, own in zip(*pair, strict=True)]
             for pair in zip(prepared, beyond, strict=True)
         ]
-    first, second = _simulate_replicate_pairs(campaign, prepared, lengths, n_draws, rng)
+    first, second = _simulate_replicate_pairs(campaign, prepared, n_draws, rng)
+    # What the true effect has beyond the law's form errs in the log and in its replicate alike.
+    inexact = rng.random(len(first.lengths)) > EXACT_SHARE
+    misfit = np.where(inexact, rng.uniform(1.0, MAX_MISFIT, len(inexact)), 1.0)
     n_causes = observed.shape[1] - 1
     steps = [(k, k + 1) for k in range(n_causes)] + [(0, n_causes)]
     limits = np.zeros((len(sets), 2, len(steps)))
@@ -334,11 +343,14 @@ def simulate_gain_intervals(
         far = np.mean((first.lengths - lengths)[:, slice(*step)] ** 2, axis=1)
         values = observed[:, step[0]] - observed[:, step[1]]
         for own, value, gain, replicate_gain in zip(
-            limits, values, first.gains(*step), second.gains(*step), strict=True
+            limits, values, first.gains(*step, misfit), second.gains(*step, misfit), strict=True
         ):
-            distance = far + ((gain - value) / max(float(np.std(replicate_gain - gain)), 1e-12)) ** 2
-            accepted = np.argsort(distance, kind="stable")[: int(ACCEPTED_SHARE * len(gain)) + 1]
-            own[:, number] = value + np.quantile(replicate_gain[accepted] - gain[accepted], [0.025, 0.975])
+            number_accepted = int(ACCEPTED_SHARE * len(gain)) + 1
+            alike = np.argsort(far, kind="stable")[:number_accepted]
+            spread = max(float(np.std(replicate_gain[alike] - gain[alike])), 1e-12)
+            distance = far + ((gain - value) / spread) ** 2
+            accepted = np.argsort(distance, kind="stable")[:number_accepted]
+            own[:, number] = np.quantile(replicate_gain[accepted], [0.025, 0.975])
     return limits
 
 
@@ -351,12 +363,12 @@ def _concatenate(parts: Sequence[_SimulatedReplicates]) -> _SimulatedReplicates:
 def _simulate_replicate_pairs(
     campaign: LinearizedCampaign,
     sets: Sequence[Sequence[SplitOperators]],
-    lengths: Array,
     n_draws: int,
     rng: np.random.Generator,
 ) -> tuple[_SimulatedReplicates, _SimulatedReplicates]:
     """Two replicates of each draw in which a cause is detected."""
     n, k = campaign.effects.shape
+    lengths = campaign.effect_lengths(Responses.of(campaign, campaign.effects)).diagonal()
     width = STRENGTH_RANGE / np.maximum(lengths, 1e-9)
     pairs, size = [], max(MAX_ELEMENTS // n, 1)
     for begin in range(0, n_draws, size):
