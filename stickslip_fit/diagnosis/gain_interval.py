@@ -322,7 +322,8 @@ def simulate_gain_intervals(
     Returns
     -------
     array, shape (t, 2, k + 1)
-        Quantiles 0.025 and 0.975 of the gain of each cause after those before it, then of all.
+        Quantiles 0.025 and 0.975 of the gain of each cause after those before it, then of all; they enclose
+        the gain in the log itself.
     """
     total = campaign.effects.sum(axis=1, keepdims=True)
     lengths = campaign.effect_lengths(Responses.of(campaign, total))[0]
@@ -350,7 +351,8 @@ def simulate_gain_intervals(
             spread = max(float(np.std(replicate_gain[alike] - gain[alike])), 1e-12)
             distance = far + ((gain - value) / spread) ** 2
             accepted = np.argsort(distance, kind="stable")[:number_accepted]
-            own[:, number] = np.quantile(replicate_gain[accepted], [0.025, 0.975])
+            low, high = np.quantile(replicate_gain[accepted], [0.025, 0.975])
+            own[:, number] = min(low, value), max(high, value)  # the log is a replicate, too
     return limits
 
 

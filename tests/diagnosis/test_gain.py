@@ -501,9 +501,76 @@ def test_a_replicate_may_gain_nothing_where_a_rival_is_as_likely(ahead, reaches)
     campaign = LinearizedCampaign(
         csr_array((n, 1)), ones, ones, effect, (effect,), (np.zeros(1),), np.zeros(1), (rivals,)
     )
-    folds = [np.arange(k, n, 10) for k in range(10)]
-    splits = [Split(*[np.setdiff1d(np.arange(n), fold)] * 2, fold) for fold in folds]
     before = np.sqrt(1.0 + strength**2 / n)
-    low, high = simulate_gain_intervals(campaign, [splits], np.array([[before, 1.0]]), _rng(), 600)[0, :, -1]
+    errors = np.array([[before, 1.0]])
+    low, high = simulate_gain_intervals(campaign, [folds_of(n)], errors, _rng(), 600)[0, :, -1]
     assert low < before - 1.0 < high
     assert (low < 0.1 * (before - 1.0)) == reaches
+
+
+def folds_of(n, number=10):
+    folds = [np.arange(k, n, number) for k in range(number)]
+    return [Split(*[np.setdiff1d(np.arange(n), fold)] * 2, fold) for fold in folds]
+
+
+def errors_of_replicates(effects, signal, splits, logs=1000):
+    """Held-out rms error of nothing and of all effects, by least squares in each fold; shape (2, logs)."""
+    responses = signal[:, None] + np.random.default_rng(5).standard_normal((len(signal), logs))
+    after = np.empty_like(responses)
+    for one in splits:
+        sizes = np.linalg.lstsq(effects[one.train], responses[one.train], rcond=None)[0]
+        after[one.held_out] = responses[one.held_out] - effects[one.held_out] @ sizes
+    return np.sqrt(np.mean([responses**2, after**2], axis=1))
+
+
+def uncontested(effects):
+    """As many causes as effects, without rivals or calibration."""
+    n, k = effects.shape
+    none = CompetingCauses(np.zeros((n, 0)), np.zeros(0), np.zeros(0, dtype=bool))
+    return LinearizedCampaign(
+        csr_array((n, 1)),
+        np.ones(n),
+        np.ones(n),
+        effects,
+        tuple(effects.T[:, :, None]),
+        (np.zeros(1),) * k,
+        np.zeros(k),
+        (none,) * k,
+    )
+
+
+def share_covered(effects, observed, replicates, splits):
+    """How many replicates gain what the interval claims; errors of shapes (2,) and (2, logs)."""
+    middle = np.full(effects.shape[1] - 1, np.mean(observed))
+    errors = np.array([[observed[0], *middle, observed[1]]])
+    low, high = simulate_gain_intervals(uncontested(effects), [splits], errors, _rng())[0, :, -1]
+    gains = replicates[0] - replicates[1]
+    return np.mean((gains > low) & (gains < high))
+
+
+def test_the_interval_of_causes_that_partly_cancel_is_that_of_their_sum():
+    """What a log shows of each is the sum's length along it, 1.8 where their own are 60."""
+    n, splits = 400, folds_of(400)
+    rng = np.random.default_rng(1)
+    first, other = np.linalg.qr(rng.standard_normal((n, 2)))[0].T
+    effects = 60.0 * np.stack([first, -(0.97 * first + np.sqrt(1 - 0.97**2) * other)], axis=1)
+    replicates = errors_of_replicates(effects, effects.sum(axis=1), splits)
+    assert share_covered(effects, replicates.mean(axis=1), replicates, splits) > 0.93
+
+
+def test_the_interval_holds_where_the_log_gained_little_by_chance():
+    """Its effect's length says more of what a replicate gains than its own held-out error does."""
+    n, splits = 400, folds_of(400)
+    effects = np.full((n, 1), 12.0 / np.sqrt(n))
+    replicates = errors_of_replicates(effects, effects[:, 0], splits)
+    gains = replicates[0] - replicates[1]
+    unlucky = replicates.mean(axis=1) + np.array([0.0, 2.5 * gains.std()])
+    assert share_covered(effects, unlucky, replicates, splits) > 0.9
+
+
+def test_the_interval_holds_where_the_law_has_not_the_form_of_the_effect():
+    """The log's held-out error is a fourth larger than one of the law's form, and so is a replicate's."""
+    n, splits = 400, folds_of(400)
+    effects = np.full((n, 1), 12.0 / np.sqrt(n))
+    replicates = errors_of_replicates(effects, effects[:, 0], splits) * np.array([[1.0], [1.25]])
+    assert share_covered(effects, replicates.mean(axis=1), replicates, splits) > 0.9
