@@ -340,11 +340,11 @@ def simulate_gain_intervals(
     n_causes = observed.shape[1] - 1
     steps = [(k, k + 1) for k in range(n_causes)] + [(0, n_causes)]
     limits = np.zeros((len(sets), 2, len(steps)))
-    for number, step in enumerate(steps):
-        far = np.mean((first.lengths - lengths)[:, slice(*step)] ** 2, axis=1)
-        values = observed[:, step[0]] - observed[:, step[1]]
+    for number, (start, end) in enumerate(steps):
+        far = np.mean((first.lengths - lengths)[:, start:end] ** 2, axis=1)
+        values = observed[:, start] - observed[:, end]
         for own, value, gain, replicate_gain in zip(
-            limits, values, first.gains(*step, misfit), second.gains(*step, misfit), strict=True
+            limits, values, first.gains(start, end, misfit), second.gains(start, end, misfit), strict=True
         ):
             number_accepted = int(ACCEPTED_SHARE * len(gain)) + 1
             alike = np.argsort(far, kind="stable")[:number_accepted]
