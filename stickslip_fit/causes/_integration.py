@@ -8,6 +8,7 @@ Legendre coefficients are negligible. Each method needs the step size at its nod
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -154,6 +155,8 @@ class PanelCounter(StepCounter):
         return self._last[1]
 
 
+GammaSlopes = Callable[[State, Array], Array]
+"""A state and values, (n, p), to derivatives of the step size, (n, k or 1, q)."""
 MAX_PANEL_HALVINGS = 7  # a step size that needs more is not smooth
 KINK_HALVINGS = 3
 
@@ -183,6 +186,11 @@ class CountableLaw(Protocol):
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma_slopes`."""
+
+
+def _chain(by_place: Array, by_value: Array) -> Array:
+    """Derivatives of the steps by values, (n, p): those by the step size, (n, k), and its, (n, k or 1, p)."""
+    return np.einsum("nk,nkp->np", by_place, np.broadcast_to(by_value, (*by_place.shape, by_value.shape[2])))
 
 
 class AdaptiveCounter:
@@ -227,16 +235,32 @@ class AdaptiveCounter:
             counts[rows] = self._refine(rows).counts(values[rows])
         return counts
 
-    def counts_and_slopes(self, values: Array) -> tuple[Array, Array]:
-        """Steps, shape (n,), and their derivatives by the values, shape (n, p)."""
+    def counts_and_slopes(
+        self, values: Array, gamma_slopes: GammaSlopes | None = None
+    ) -> tuple[Array, Array]:
+        """Steps, shape (n,), and their derivatives by the values, shape (n, p).
+
+        `gamma_slopes` are the law's, unless only some of them are wanted.
+        """
+        by_values = gamma_slopes or self.law.gamma_slopes
         counter, state, gamma, exact = self._select_counter(values)
-        by_place, by_value = counter.derivatives(gamma), self.law.gamma_slopes(state, values)
-        by_value = np.broadcast_to(by_value, (*by_place.shape, values.shape[1]))
-        slopes = np.einsum("nk,nkp->np", by_place, by_value)
-        counts = np.where(exact, counter.counts(gamma), np.nan)
-        if len(rows := np.flatnonzero(~exact)) and self.halvings < self._most_halvings:
-            counts[rows], slopes[rows] = self._refine(rows).counts_and_slopes(values[rows])
+        counts, by_place = np.where(exact, counter.counts(gamma), np.nan), counter.derivatives(gamma)
+        if exact.all():
+            return counts, _chain(by_place, by_values(state, values))
+        known, rows = np.flatnonzero(exact), np.flatnonzero(~exact)
+        own = _chain(by_place[known], by_values(self._select(state, known), values[known]))
+        slopes = np.full((len(values), own.shape[1]), np.nan)
+        slopes[known] = own
+        if self.halvings < self._most_halvings:
+            counts[rows], slopes[rows] = self._refine(rows).counts_and_slopes(values[rows], gamma_slopes)
         return counts, slopes
+
+    def _select(self, state: State, rows: IntArray) -> State:
+        """A state of all traverses, of some of them."""
+        own = {name: column[rows] for name, column in self.row_values.items()}
+        selected = state_at(self.law.joint, own, state.position[rows])
+        selected.functions.update({key: (cause, x[rows]) for key, (cause, x) in state.functions.items()})
+        return selected
 
     def _refine(self, rows: IntArray) -> AdaptiveCounter:
         """Some rows with panels of half the width."""

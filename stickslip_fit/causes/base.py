@@ -8,8 +8,8 @@ at exactly one of these stages; `ExtendedLaw` is a published law with causes in 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property, reduce
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property, partial, reduce
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -24,11 +24,11 @@ from stickslip_fit.causes.parameters import (
     SizedParameter,
     Sizes,
     collect_row_values,
-    number_repeated,
+    name_parameters,
     plain_description,
     sizes_by_name,
 )
-from stickslip_fit.laws import Configuration, Rows, State, StepLaw, float_column, state_at
+from stickslip_fit.laws import Configuration, Parameter, Rows, State, StepLaw, float_column, state_at
 from stickslip_fit.laws.base import Counter
 from stickslip_fit.laws.quantities import POSE
 from stickslip_fit.machine import Machine
@@ -323,11 +323,6 @@ class ExtendedLaw(StepLaw):
     law : StepLaw
     causes : sequence of Cause
         Bound to a log, see `Cause.bind`.
-
-    Attributes
-    ----------
-    cause_parameters : tuple of CauseParameter
-        The causes' parameters, which follow the law's own: one number each for the whole campaign.
     """
 
     name = "extended"
@@ -336,12 +331,17 @@ class ExtendedLaw(StepLaw):
         self.law = law
         self.causes = tuple(causes)
         self.joint, self.has_kinks = law.joint, law.has_kinks
-        self.cause_parameters = tuple(
-            parameter.of_cause(name)
-            for cause, name in zip(causes, number_repeated(one.name for one in causes), strict=True)
-            for parameter in cause.parameters
-        )
-        self.parameters = (*law.parameters, *self.cause_parameters)
+        self._number = len(law.parameters) + sum(len(cause.parameters) for cause in causes)
+
+    @cached_property
+    def cause_parameters(self) -> tuple[CauseParameter, ...]:
+        """The causes' parameters, which follow the law's own: one number each for the whole campaign."""
+        return name_parameters(self.causes)
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+        """See `StepLaw`."""
+        return (*self.law.parameters, *self.cause_parameters)
 
     @cached_property
     def active_causes(self) -> tuple[tuple[Cause, range], ...]:
@@ -372,7 +372,7 @@ class ExtendedLaw(StepLaw):
     @cached_property
     def affects_joint(self) -> BoolArray:
         """Which parameters have an effect on this joint, shape (p,)."""
-        affects = np.arange(len(self.parameters)) < len(self.law.parameters)
+        affects = np.arange(self._number) < len(self.law.parameters)
         for _, columns in self.active_causes:
             affects[columns] = [self.parameters[k].joint in (None, self.joint) for k in columns]  # type: ignore[attr-defined]
         return affects
@@ -387,18 +387,26 @@ class ExtendedLaw(StepLaw):
         true, law_values = self.true_state(state, values), values[:, : len(self.law.parameters)]
         before, factors = self._before_factors(true, values), self._factors(true, values)
         factor = _multiply(factors, values)
-        by_law = self.law.gamma_slopes(true, law_values)
-        slopes = [np.zeros((len(values), 1))] * len(self.parameters)
+        by_law, slopes = self.law.gamma_slopes(true, law_values), dict[int, Array]()
         for (cause, columns), free in zip(self.by_stage[TermCause], self._free(true, values), strict=True):
             by_free, by_own = cause.term_slopes(free, true, _split(values, columns))
             by_law = by_law + by_free[..., None] * self.law.gamma_slopes(cause.unload(true), law_values)
-            slopes[columns.start : columns.stop] = [own * factor for own in by_own]
-        slopes[: len(self.law.parameters)] = np.moveaxis(by_law * factor[..., None], -1, 0)
-        for columns, by_factor in self._factor_slopes(true, values, factors):
-            slopes[columns.start : columns.stop] = before * by_factor
+            slopes |= {k: (own * factor)[..., None] for k, own in zip(columns, by_own, strict=True)}
+        slopes[0] = by_law * factor[..., None]
+        for place, (_, columns) in enumerate(self.by_stage[FactorCause]):
+            slopes[columns.start] = before[..., None] * self._factor_slopes(place, true, values, factors)
         for k in (k for _, columns in self.by_stage[StateCause] for k in columns if self._has_slope(k)):
-            slopes[k] = self.difference(lambda shifted: self.gamma(state, shifted), values, k)
-        return np.stack(np.broadcast_arrays(*slopes), axis=-1)
+            slopes[k] = self.difference(lambda shifted: self.gamma(state, shifted), values, k)[..., None]
+        together = np.zeros((len(values), max(own.shape[1] for own in slopes.values()), values.shape[1]))
+        for first, own in slopes.items():
+            together[..., first : first + own.shape[2]] = own
+        return together
+
+    def gamma_slopes_by_last(self, state: State, values: Array) -> Array:
+        """Derivatives of `gamma` by the parameters of the last cause, a factor, (n, k or 1, q)."""
+        true = self.true_state(state, values)
+        slopes = self._factor_slopes(-1, true, values, self._factors(true, values))
+        return np.multiply(self._before_factors(true, values)[..., None], slopes, order="C")
 
     def true_state(self, state: State, values: Array) -> State:
         """The state under the causes, stage by stage."""
@@ -433,21 +441,15 @@ class ExtendedLaw(StepLaw):
         active = self.by_stage[FactorCause]
         return [cause.factor(true, _split(values, columns)) for cause, columns in active]
 
-    def _factor_slopes(self, true: State, values: Array, factors: list[Array]) -> Iterator[Any]:
-        """Columns of each factor, and derivatives of all together by them, (q, n, k) or (q, n, 1)."""
-        for place, (cause, columns) in enumerate(self.by_stage[FactorCause]):
-
-            def factor(shifted: Array, cause: FactorCause = cause, columns: range = columns) -> Array:
-                return cause.factor(true, _split(shifted, columns))
-
-            own = cause.factor_slopes(true, _split(values, columns))
-            by_own = (
-                np.stack([self.difference(factor, values, k) for k in columns])
-                if own is None
-                else np.moveaxis(own, -1, 0)
-            )
-            others = [one for k, one in enumerate(factors) if k != place]
-            yield columns, reduce(np.multiply, others, by_own)
+    def _factor_slopes(self, place: int, true: State, values: Array, factors: list[Array]) -> Array:
+        """Derivatives of all factors together by the parameters of one of them, (n, k or 1, q)."""
+        cause, columns = self.by_stage[FactorCause][place]
+        own = cause.factor_slopes(true, _split(values, columns))
+        if own is None:
+            factor = lambda shifted: cause.factor(true, _split(shifted, columns))  # noqa: E731
+            own = np.stack([self.difference(factor, values, k) for k in columns], axis=-1)
+        others = [one for one in factors if one is not factors[place]]
+        return np.asarray(reduce(lambda slopes, other: slopes * other[..., None], others, own))
 
     def difference(self, function: Callable[[Array], Array], values: Array, k: int) -> Array:
         """Derivative of a function of the values by cause parameter `k`, by central differences."""
@@ -490,7 +492,7 @@ class ExtendedLaw(StepLaw):
 
     def counter(self, rows: Rows) -> Counter:
         """See `StepLaw.counter`; NaN where the step size is not above 0."""
-        parts, shape = self.parts(rows), (len(rows["start"]), len(self.parameters))
+        parts, shape = self.parts(rows), (len(rows["start"]), self._number)
 
         def count(values: Array) -> tuple[Array, Array]:
             values = np.broadcast_to(values, shape)
@@ -501,7 +503,7 @@ class ExtendedLaw(StepLaw):
 
     def predict(self, rows: Rows, values: Array) -> Array:
         """See `StepLaw.predict`; without the derivatives, which take most of the time."""
-        values = np.broadcast_to(values, (len(float_column(rows, "start")), len(self.parameters)))
+        values = np.broadcast_to(values, (len(float_column(rows, "start")), self._number))
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.log(self.steps(rows)(values))
 
@@ -568,10 +570,7 @@ class ExtendedLaw(StepLaw):
 
     def _count(self, part: AdaptiveCounter, values: Array) -> tuple[Array, Array]:
         counts, slopes = part.counts_and_slopes(values)
-
-        def added(shifted: Array) -> Array:
-            return self.steps_added(part.start_state, shifted)
-
+        added = partial(self.steps_added, part.start_state)
         for _, columns in self.by_stage[CountCause]:
             for k in columns:
                 slopes[:, k] += self.difference(added, values, k)

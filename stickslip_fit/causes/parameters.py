@@ -141,6 +141,12 @@ def number_repeated(names: Iterable[str]) -> list[str]:
     return numbered
 
 
+def name_parameters(causes: Sequence[Any]) -> tuple[CauseParameter, ...]:
+    """The parameters of causes, one cause after the other, by their full names."""
+    named = zip(causes, number_repeated(one.name for one in causes), strict=True)
+    return tuple(parameter.of_cause(name) for cause, name in named for parameter in cause.parameters)
+
+
 def sizes_by_name(parameters: Sequence[SizedParameter]) -> dict[str, SizedParameter | SizesByDirection]:
     """Parameters by name, those of the two directions together."""
     groups: dict[str, list[SizedParameter]] = {}

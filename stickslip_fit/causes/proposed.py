@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -106,7 +107,7 @@ class SmoothTerm(LinearFactor):
         """See `Cause`."""
         return any(carrier in (POSITION, LOAD) for carrier in self.carriers)
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `Cause`."""
         return tuple(

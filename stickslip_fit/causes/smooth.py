@@ -20,6 +20,7 @@ from stickslip_fit.laws import State, StepLaw
 
 N_HARMONICS = 4  # of a wave: in them a square wave has 0.90 of its variance, a saw-tooth 0.87
 LENGTHS = (1.0, 0.4, 0.15, 0.06)  # correlation lengths that are tried, of the range
+MAX_KEPT = 4_000_000  # numbers of functions that are kept for the next time, in each state
 MIN_PRIOR_SD = 0.03  # of a cosine's coefficient, relative to the largest one, below which it is left out
 
 
@@ -113,17 +114,29 @@ class LinearFactor(FactorCause):
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
-        return np.asarray(
-            1.0 + np.einsum("nkq,nq->nk", self.functions(state), np.concatenate(values, axis=1))
-        )
+        functions = self._functions_in(state)
+        return np.asarray(1.0 + np.einsum("nkq,nq->nk", functions, np.concatenate(values, axis=1)))
 
     def factor_slopes(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor_slopes`."""
-        return self.functions(state)
+        return self._functions_in(state)
+
+    def _functions_in(self, state: State) -> Array:
+        """`functions`, computed once in a state: a fit asks for them again and again."""
+        if id(self) in state.functions:
+            return state.functions[id(self)][1]
+        functions = self.functions(state)
+        if functions.size <= MAX_KEPT:
+            state.functions[id(self)] = self, functions
+        return functions
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: by the derivatives without effect, since trials are small and many."""
-        extended = self.extend(law)
+        if not self.acts_on(law):
+            return np.zeros((len(values), len(trials)))
+        extended, slopes = self.extend(law), []
         first = np.concatenate([values, np.zeros((len(values), trials.shape[1]))], axis=1)
-        slopes = extended.jacobian(self.row_values(law, rows), first)[:, values.shape[1] :]
-        return np.asarray(slopes @ trials.T)
+        for subset, part in extended.parts(self.row_values(law, rows)):
+            counts, own = part.counts_and_slopes(first[subset], extended.gamma_slopes_by_last)
+            slopes.append(own / (counts + extended.steps_added(part.start_state, first[subset]))[:, None])
+        return np.asarray(np.concatenate(slopes) @ trials.T)

@@ -270,6 +270,11 @@ class State:
         """The recoil factor |cos q2|, or `override_recoil`."""
         return np.abs(np.cos(self.q2)) if self.override_recoil is None else self.override_recoil
 
+    @cached_property
+    def functions(self) -> dict[int, tuple[object, Array]]:
+        """What causes compute here without their parameters, each with its cause, by the id of that."""
+        return {}
+
     def column(self, name: str) -> Array:
         """A quantity of each traverse, shape (n, 1)."""
         return np.asarray(self.row[name], dtype=float)[:, None]

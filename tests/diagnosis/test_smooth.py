@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from stickslip_fit.causes import CauseParameter
+from stickslip_fit.causes.proposed import SmoothTerm
 from stickslip_fit.causes.smooth import LinearFactor, cosines, prior_sds
 from stickslip_fit.diagnosis.linearized import linearize_fit
 from stickslip_fit.diagnosis.problem import problem_from_log
@@ -98,3 +99,38 @@ def test_slopes_in_closed_form_are_those_of_differences(log_problem):
         rtol=1e-3,
         atol=1e-5,
     )
+
+
+def test_functions_are_computed_once_however_often_a_model_is_asked(log_problem, monkeypatch):
+    asked, functions = [], WithTheHour.functions
+    monkeypatch.setattr(
+        WithTheHour, "functions", lambda self, state: asked.append(1) or functions(self, state)
+    )
+    (part, *_) = log_problem.parts
+    model = WithTheHour(5.0, 0.01).extend(part.law).model(log_problem.rows.iloc[part.rows])
+    values = np.concatenate([part.values, np.full((len(part.rows), len(SD)), 0.01)], axis=1)
+    first, _ = model(values)
+    once = len(asked)
+    again, _ = model(0.99 * values)
+    assert len(asked) == once
+    assert np.all(again != first)
+
+
+def test_changes_need_no_derivatives_by_causes_that_are_in_the_law_already(log_problem, monkeypatch):
+    """Fine ones, of which some traverses need more panels than others, have hundreds of parameters."""
+    rng, cause = np.random.default_rng(1), WithTheHour(5.0, 0.01)
+    (part, *_) = (one for one in log_problem.parts if one.law.joint == 3)
+    rows = log_problem.rows.iloc[part.rows]
+    start = np.where(np.arange(len(rows)) % 2, rows["start"], 0.9 * rows["stop"])  # long ones and short ones
+    rows = {**{name: rows[name].to_numpy() for name in rows}, "start": start}
+    fine = SmoothTerm(("position",), ((0.0, 0.012),), tuple((k,) for k in range(1, 41)), (0.01,) * 40)
+    law = fine.extend(part.law)
+    values = np.concatenate([part.values, np.tile(0.01 * rng.standard_normal(40), (len(start), 1))], axis=1)
+    whole = np.concatenate([values, np.zeros((len(start), len(SD)))], axis=1)
+    expected = cause.extend(law).jacobian(rows, whole)[:, -len(SD) :]
+
+    def refuse(*_):
+        raise AssertionError("derivatives by the fine function are asked for")
+
+    monkeypatch.setattr(SmoothTerm, "factor_slopes", refuse)
+    np.testing.assert_array_equal(cause.changes(law, rows, values, np.eye(len(SD))), expected)
