@@ -247,14 +247,10 @@ def _coordinates(linearized: LinearizedFit) -> Array:
     return coordinates
 
 
-def compute_held_out_errors(
-    problem: DiagnosisProblem,
-    split: Split,
-    findings: Sequence[Finding],
-    selector: Selector,
-    seed: Sequence[int],
+def predict_held_out(
+    problem: DiagnosisProblem, split: Split, findings: Sequence[Finding], selection: Selection
 ) -> Array:
-    """Repeat the selection on the training rows, and predict the held-out rows with ever more causes.
+    """Predict the held-out rows with ever more of the causes that were selected from the training rows.
 
     Parameters
     ----------
@@ -263,8 +259,8 @@ def compute_held_out_errors(
     split : Split
     findings : sequence of Finding
         Those of the whole log that extend its laws, k.
-    selector : callable
-    seed : sequence of int
+    selection : Selection
+        See `select_from_training`.
 
     Returns
     -------
@@ -272,11 +268,14 @@ def compute_held_out_errors(
         Measured less predicted, relative: of the baseline; with the causes that stand for the first finding,
         for the first two, and so on; at last with all selected causes.
     """
-    return _predict_by_steps(problem, split, findings, select_from_training(problem, split, selector, seed))
+    errors = [_prediction_errors(problem, split, (), np.zeros(0))]
+    for versions, fit in extend_by_steps(selection, findings):
+        errors.append(_prediction_errors(problem, split, versions, fit.values))
+    return np.stack(errors)
 
 
-def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Finding]) -> Array | None:
-    """As `compute_held_out_errors` where the training rows clearly show what the whole log shows, else None.
+def confirm_selection(looks: Looks, split: Split) -> Selection | None:
+    """As `select_from_training` where the training rows clearly show what the whole log shows, else None.
 
     The tests are repeated by linear algebra, and the laws refitted from their fit to all rows. A law for
     unknown structure is searched again.
@@ -311,17 +310,7 @@ def confirm_held_out_errors(looks: Looks, split: Split, findings: Sequence[Findi
             if version is None or (version.carriers != before.version.carriers and not last):
                 return None
     fit = fit_causes(training, causes)
-    selection = replace(whole, problem=training, selected=tuple(causes), fit=fit)
-    return _predict_by_steps(whole.problem, split, findings, selection)
-
-
-def _predict_by_steps(
-    problem: DiagnosisProblem, split: Split, findings: Sequence[Finding], selection: Selection
-) -> Array:
-    errors = [_prediction_errors(problem, split, (), np.zeros(0))]
-    for versions, fit in extend_by_steps(selection, findings):
-        errors.append(_prediction_errors(problem, split, versions, fit.values))
-    return np.stack(errors)
+    return replace(whole, problem=training, selected=tuple(causes), fit=fit)
 
 
 def select_from_training(

@@ -1,13 +1,14 @@
 """The gain of a diagnosis: rms error on held-out traverses, without and with each finding in the law.
 
-`measure_gain` makes the splits (`cross_validation`) and repeats the selection in each of them. The
-interval of the gain comes from `gain_interval`, for which `_linearize_campaign` prepares the fit.
+`measure_gain` makes the splits (`cross_validation`) and repeats the selection in each of them. A cause that
+is withdrawn for its gain changes no search, so that `FoldSearches` keeps them for the next time. The interval
+of the gain comes from `gain_interval`, for which `_linearize_campaign` prepares the fit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, pairwise
 
@@ -21,10 +22,11 @@ from stickslip_fit.diagnosis.autocorrelation import variance_over_innovations
 from stickslip_fit.diagnosis.cross_validation import (
     Selector,
     Split,
-    compute_held_out_errors,
-    confirm_held_out_errors,
+    confirm_selection,
     hold_out_sessions,
     make_folds,
+    predict_held_out,
+    select_from_training,
 )
 from stickslip_fit.diagnosis.evidence import log_likelihood_ratio
 from stickslip_fit.diagnosis.extension import SelectedCause
@@ -54,16 +56,43 @@ PROGRESS_START, PROGRESS_END = 0.2, 0.95  # shares of a diagnosis's work
 PROGRESS_STEP = "predicting held-out traverses"
 
 SplitProgress = Callable[[int, int], None]
-HeldOutErrors = Callable[..., Array]
+Prediction = Callable[..., Array]
+
+
+@dataclass(frozen=True, eq=False)
+class FoldSearches:
+    """The search of a diagnosis, repeated without the rows that are held out.
+
+    Attributes
+    ----------
+    selection : Selection
+        Of the whole data, as it was before any of its causes was withdrawn.
+    alpha, seed : float, int
+        Of the diagnosis.
+    select : callable or None
+        From a problem and a generator to a selection; None for `select_in_fold`.
+    known : dict
+        What was selected, by the training rows and the number of a split.
+    """
+
+    selection: Selection
+    alpha: float
+    seed: int = 0
+    select: Selector | None = None
+    known: dict[tuple[bytes, int], Selection] = field(default_factory=dict)
+
+    @property
+    def selector(self) -> Selector:
+        """The search of a part of the data."""
+        return self.select or partial(select_in_fold, alpha=self.alpha)
 
 
 def measure_gain(
     selection: Selection,
     findings: tuple[Finding, ...],
     machine: Machine | None,
+    searches: FoldSearches,
     *,
-    alpha: float,
-    seed: int,
     workers: int = -1,
     progress: ProgressCallback = ignore_progress,
 ) -> tuple[Gain | None, Gain | None, tuple[Finding, ...]]:
@@ -86,18 +115,16 @@ def measure_gain(
     sessions = hold_out_sessions(problem, machine) if machine is not None else []
     if not (sets := [one for one in (folds, sessions) if one]):
         return None, None, findings
-    looks = prepare_looks(selection, alpha) if selection.law_causes else None
+    looks = prepare_looks(searches.selection, searches.alpha) if searches.selection.law_causes else None
     first, last = PROGRESS_START, PROGRESS_END
     estimates = estimate_gains(
         selection,
         findings,
         sets,
-        partial(select_in_fold, alpha=alpha),
-        alpha=alpha,
-        seed=seed,
+        searches,
         workers=workers,
         progress=lambda done, number: progress(PROGRESS_STEP, first + (last - first) * done / number),
-        confirm=partial(confirm_held_out_errors, looks) if looks is not None else None,
+        confirm=partial(confirm_selection, looks) if looks is not None else None,
     )
     gain, own = estimates[0] if folds else (None, findings)
     return gain, estimates[-1][0] if sessions else None, own
@@ -107,14 +134,12 @@ def estimate_gains(
     selection: Selection,
     findings: Sequence[Finding],
     sets: Sequence[Sequence[Split]],
-    selector: Selector,
+    searches: FoldSearches,
     *,
-    alpha: float,
-    seed: int = 0,
     workers: int = -1,
     progress: SplitProgress | None = None,
-    compute_errors: HeldOutErrors = compute_held_out_errors,
-    confirm: Callable[..., Array | None] | None = None,
+    predict: Prediction = predict_held_out,
+    confirm: Callable[[Split], Selection | None] | None = None,
     recolour: Recolouring = keep_columns,
     beyond: Callable[[Sequence[Finding], Split], Array] | None = None,
 ) -> list[tuple[Gain, tuple[Finding, ...]]]:
@@ -130,18 +155,15 @@ def estimate_gains(
         Of the whole log. Those that extend no law gain nothing.
     sets : sequence of sequence of Split
         Of the rows of `selection.problem`; at least one in each set.
-    selector : callable
-        From a problem and a generator to a selection.
-    alpha, seed : float, int
-        Of the diagnosis.
+    searches : FoldSearches
     workers : int, optional
         Processes; all cores without it, one for up to `MAX_SERIAL_ROWS` rows. No number depends on it.
     progress : callable, optional
         Called with the number of splits that are done, and of all.
-    compute_errors : callable, optional
-        As `compute_held_out_errors`; a table's laws are calibrated in another way.
+    predict : callable, optional
+        As `predict_held_out`; a table's laws are calibrated in another way.
     confirm : callable, optional
-        From a split and findings to the same errors, or None where the selection has to be repeated.
+        From a split to its selection, or None where the search has to be repeated.
     recolour : callable, optional
         Of `LinearizedCampaign`.
     beyond : callable, optional
@@ -154,19 +176,16 @@ def estimate_gains(
     """
     extending = [finding for finding in findings if finding.version is not None]
     if extending:
-        compute = partial(compute_errors, selection.problem, findings=extending, selector=selector)
-        every, ends = list(chain(*sets)), np.cumsum([len(splits) for splits in sets])
-        known = [confirm(split, extending) if confirm else None for split in every]
-        numbers = [number for splits in sets for number in range(len(splits))]
-        errors = _collect_errors(
-            compute, known, len(selection.problem), every, numbers, seed, workers, progress
-        )
+        ends, numbered = np.cumsum([len(splits) for splits in sets]), list(chain(*map(enumerate, sets)))
+        predict_from = partial(predict, selection.problem, findings=extending)
+        errors = _collect_errors(predict_from, confirm, searches, numbered, workers, progress)
         held_out = [
             _leave_out_stalls(splits, np.concatenate(errors[end - len(splits) : end], axis=1))
             for splits, end in zip(sets, ends, strict=True)
         ]
-        rms, rng = [np.sqrt(np.mean(own**2, axis=1)) for _, own in held_out], np.random.default_rng([seed, 1])
-        campaign = replace(_linearize_campaign(selection, extending, alpha), recolour=recolour)
+        rms = [np.sqrt(np.mean(own**2, axis=1)) for _, own in held_out]
+        rng = np.random.default_rng([searches.seed, 1])
+        campaign = replace(_linearize_campaign(selection, extending, searches.alpha), recolour=recolour)
         kept = [splits for splits, _ in held_out]
         less = [[beyond(extending, split) for split in splits] for splits in kept] if beyond else None
         limits = simulate_gain_intervals(campaign, kept, np.stack(rms), rng, beyond=less)
@@ -194,29 +213,49 @@ def _compare_errors(
     return _make_gain(selection, splits, errors[[0, -1]], limits[:, -1]), own
 
 
+def _search_split(
+    predict: Callable[..., Array],
+    problem: DiagnosisProblem,
+    selector: Selector,
+    seed: tuple[int, int],
+    split: Split,
+) -> tuple[Selection, Array]:
+    """What is selected from the training rows of a split, and the errors with it."""
+    selection = select_from_training(problem, split, selector, seed).without_tests
+    return selection, predict(split, selection=selection)
+
+
 def _collect_errors(
-    compute: Callable[..., Array],
-    known: Sequence[Array | None],
-    n_rows: int,
-    splits: Sequence[Split],
-    numbers: Sequence[int],
-    seed: int,
+    predict: Callable[..., Array],
+    confirm: Callable[[Split], Selection | None] | None,
+    searches: FoldSearches,
+    splits: Sequence[tuple[int, Split]],
     workers: int,
     progress: SplitProgress | None,
 ) -> list[Array]:
-    """The errors in each split; `numbers` are those that the splits have in their sets."""
-    open_splits = [place for place, errors in enumerate(known) if errors is None]
-    tasks = [partial(compute, splits[place], seed=(seed, numbers[place])) for place in open_splits]
+    """The errors in each split, given with its number in its set."""
+    known, problem = searches.known, searches.selection.problem
+    keys = [(split.train.tobytes(), number) for number, split in splits]
+    for key, (_, split) in zip(keys, splits, strict=True):
+        if confirm is not None and key not in known and (confirmed := confirm(split)) is not None:
+            known[key] = confirmed.without_tests
+    open_splits = [place for place, key in enumerate(keys) if key not in known]
+    errors = {
+        place: predict(split, selection=known[key])
+        for place, (key, (_, split)) in enumerate(zip(keys, splits, strict=True))
+        if key in known
+    }
+    search = partial(_search_split, predict, problem, searches.selector)
+    tasks = [partial(search, (searches.seed, splits[k][0]), splits[k][1]) for k in open_splits]
     # Starting a process takes as long as the selection in several folds of a small log.
-    if n_rows > MAX_SERIAL_ROWS and len(open_splits) > 1:
+    if len(problem) > MAX_SERIAL_ROWS and len(open_splits) > 1:
         from joblib import Parallel, delayed
 
         results = Parallel(n_jobs=workers, return_as="generator")(delayed(task)() for task in tasks)
     else:
         results = (task() for task in tasks)
-    errors = {place: own for place, own in enumerate(known) if own is not None}
-    for done, (place, split_errors) in enumerate(zip(open_splits, results, strict=True), start=1):
-        errors[place] = split_errors
+    for done, (place, result) in enumerate(zip(open_splits, results, strict=True), start=1):
+        known[keys[place]], errors[place] = result
         if progress is not None:
             progress(len(splits) - len(open_splits) + done, len(splits))
     return [errors[place] for place in range(len(splits))]

@@ -18,7 +18,7 @@ from stickslip_fit.diagnosis._methods import describe_methods, list_references
 from stickslip_fit.diagnosis.explanation import explain_structure
 from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.finding import DataInfo, Finding, Gain, LogInfo, NextTraverse, TableInfo
-from stickslip_fit.diagnosis.gain import measure_gain
+from stickslip_fit.diagnosis.gain import FoldSearches, measure_gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import remove_effects
 from stickslip_fit.diagnosis.selection import Selection
@@ -160,7 +160,8 @@ class Diagnosis(Summarized):
         check_workers(workers)
         began, selection, findings = time.perf_counter(), self.selection, self.findings
         inclusion = dict(self.inclusion)
-        options: Any = {"alpha": self.alpha, "seed": self.seed, "workers": workers, "progress": progress}
+        searches = FoldSearches(selection, self.alpha, self.seed)
+        options: Any = {"searches": searches, "workers": workers, "progress": progress}
         while True:
             if self.table is not None:
                 measured = measure_table_gain(selection, findings, self.table, **options)

@@ -128,6 +128,14 @@ class Selection:
         ends = np.cumsum([0, *(len(selected.start) for selected in self.law_causes)]).tolist()
         return [slice(first, last) for first, last in pairwise(ends)]
 
+    @property
+    def without_tests(self) -> Selection:
+        """What a prediction needs of it; tests are as large as all hypotheses."""
+        nothing = Misfit(np.zeros(0), (), np.zeros(0), {}, 1.0, np.zeros(0))
+        selected = tuple(replace(one, misfit=None, naming=None, tested=None) for one in self.selected)
+        tests: Any = {"selected": selected, "first_misfit": nothing, "last_misfit": nothing}
+        return replace(self, problem=replace(self.problem), **tests)
+
     def place_of(self, version: object) -> slice:
         """Where the parameters of one of `law_causes`, given as its version, stand in `fit.values`."""
         versions = [one.version for one in self.law_causes]

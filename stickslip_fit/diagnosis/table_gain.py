@@ -26,14 +26,12 @@ from stickslip_fit.diagnosis.cross_validation import (
     MIN_KNOWN_STRENGTH,
     MIN_SESSIONS,
     N_FOLDS,
-    Selector,
     Split,
     deal_kinds,
     extend_by_steps,
-    select_from_training,
 )
 from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo
-from stickslip_fit.diagnosis.gain import FOLD_SEED, estimate_gains, select_in_fold
+from stickslip_fit.diagnosis.gain import FOLD_SEED, FoldSearches, estimate_gains
 from stickslip_fit.diagnosis.hypotheses import compute_changes
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit, split_positions
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
@@ -48,9 +46,8 @@ def measure_table_gain(
     selection: Selection,
     findings: tuple[Finding, ...],
     table: TableInfo,
+    searches: FoldSearches,
     *,
-    alpha: float,
-    seed: int,
     workers: int = -1,
     progress: ProgressCallback = ignore_progress,
 ) -> tuple[Gain | None, Gain | None, tuple[Finding, ...]]:
@@ -83,12 +80,10 @@ def measure_table_gain(
             selection,
             findings,
             [folds],
-            partial(select_in_fold, alpha=alpha),
-            alpha=alpha,
-            seed=seed,
+            searches,
             workers=workers,
             progress=lambda done, number: progress("predicting held-out rows", 0.2 + 0.7 * done / number),
-            compute_errors=compute_table_errors,
+            predict=predict_held_out_rows,
             recolour=linearized.recolour,
             beyond=partial(slopes_beyond, selection),
         )
@@ -117,7 +112,7 @@ def slopes_beyond(selection: Selection, findings: Sequence[Finding], split: Spli
     """What slopes of causes are less in held-out rows, beyond what the training rows show; shape (h, q).
 
     In units of each row's noise. A row far out in a column would else be predicted by a curve that bends
-    away from all others, which `compute_table_errors` does not do.
+    away from all others, which `predict_held_out_rows` does not do.
     """
     problem, shared = selection.problem, len(selection.fit.values)
     less = np.zeros((len(problem), shared))
@@ -221,19 +216,13 @@ def _is_determined(basis: Array, effects: Array, whole: Array, least: Array) -> 
     return bool(np.all(left >= least))
 
 
-def compute_table_errors(
-    problem: DiagnosisProblem,
-    split: Split,
-    findings: Sequence[Finding],
-    selector: Selector,
-    seed: Sequence[int],
+def predict_held_out_rows(
+    problem: DiagnosisProblem, split: Split, findings: Sequence[Finding], selection: Selection
 ) -> Array:
-    """Repeat the selection on the training rows, and predict the held-out rows with ever more causes.
+    """As `cross_validation.predict_held_out`, with laws that may share parameters over the whole table.
 
-    As `cross_validation.compute_held_out_errors`, with laws that may share parameters over the whole table:
-    these are fitted to the training rows together with all others. Shape (k + 1, number held out).
+    These are fitted to the training rows together with all others. Shape (k + 1, number held out).
     """
-    selection = select_from_training(problem, split, selector, seed)
     errors = [predict_from_fit(problem, split.held_out, selection.problem.fit_extended())]
     for _, fit in extend_by_steps(selection, findings):
         errors.append(predict_from_fit(problem, split.held_out, fit))

@@ -16,14 +16,16 @@ from stickslip_fit.diagnosis.alternatives import build_unstructured_alternatives
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.cross_validation import (
     Split,
-    compute_held_out_errors,
     deal_kinds,
     hold_out_sessions,
     make_folds,
+    predict_held_out,
+    select_from_training,
 )
 from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.extension import SelectedCause, assess_residuals, extend_problem
 from stickslip_fit.diagnosis.gain import (
+    FoldSearches,
     estimate_gains,
     hold_out_configurations,
     number_session_configurations,
@@ -79,9 +81,8 @@ def splits_of(selection):
 def measured(problem, workers=1, selector=SELECT, alpha=ALPHA):
     selection = select_causes(problem, alpha, N_BOOTSTRAP, np.random.default_rng(0))
     found = size_findings(selection, problem, alpha) if selection.p_value < alpha else ()
-    [(whole, _)] = estimate_gains(
-        selection, found, [splits_of(selection)], selector, alpha=alpha, workers=workers
-    )
+    searches = FoldSearches(selection, alpha, select=selector)
+    [(whole, _)] = estimate_gains(selection, found, [splits_of(selection)], searches, workers=workers)
     return whole, selection
 
 
@@ -195,7 +196,8 @@ def test_what_is_held_out_has_no_part_in_its_own_prediction(problem):
     wrong = 0.3 * np.isin(np.arange(len(selection.problem)), split.held_out)
     disturbed = replace(selection.problem, responses=selection.problem.responses + wrong)
     before, after = (
-        compute_held_out_errors(each, split, found, SELECT, (0, 0)) for each in (selection.problem, disturbed)
+        predict_held_out(each, split, found, select_from_training(each, split, SELECT, (0, 0)))
+        for each in (selection.problem, disturbed)
     )
     assert np.sqrt(np.mean(before[1] ** 2)) < np.sqrt(np.mean(before[0] ** 2))
     np.testing.assert_allclose(after, before + 0.3, atol=1e-9)
@@ -274,7 +276,7 @@ def test_the_number_of_processes_makes_no_difference(problem, monkeypatch):
     selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
     found, splits = size_findings(selection, own_problem, ALPHA), splits_of(selection)[:4]
     one, two = (
-        estimate_gains(selection, found, [splits], SELECT, alpha=ALPHA, workers=workers)[0][0]
+        estimate_gains(selection, found, [splits], FoldSearches(selection, ALPHA), workers=workers)[0][0]
         for workers in (1, 2)
     )
     assert (one.baseline, one.extended, one.low, one.high) == (two.baseline, two.extended, two.low, two.high)
@@ -285,7 +287,7 @@ def test_each_finding_gains_its_step_and_steps_add_up(problem):
     selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
     found = size_findings(selection, own_problem, ALPHA)
     splits = splits_of(selection)[:1]
-    [(whole, own)] = estimate_gains(selection, found, [splits], SELECT, alpha=ALPHA, workers=1)
+    [(whole, own)] = estimate_gains(selection, found, [splits], FoldSearches(selection, ALPHA), workers=1)
     assert {each.cause for each in own} >= {"drift", "end-stop-latency"}
     assert own[0].gain.baseline == whole.baseline
     assert own[-1].gain.extended == whole.extended
@@ -300,13 +302,14 @@ def test_rows_on_which_the_laws_alone_stall_say_nothing_of_a_cause(problem):
     selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
     found, splits = size_findings(selection, own_problem, ALPHA), splits_of(selection)[:2]
 
-    def predicted(split, findings):
+    def predicted(problem, split, findings, selection):
         errors = np.full((1 + len(findings), len(split.held_out)), 0.02)
         errors[1:] = 0.01
         errors[0, :2], errors[-1, 1:3] = np.nan, np.nan
         return errors
 
-    [(whole, own)] = estimate_gains(selection, found, [splits], SELECT, alpha=ALPHA, confirm=predicted)
+    known = {"predict": predicted, "confirm": lambda _: selection}
+    [(whole, own)] = estimate_gains(selection, found, [splits], FoldSearches(selection, ALPHA), **known)
     n = sum(len(split.held_out) - 2 for split in splits)
     assert whole.by_session["traverses"].sum() == n
     assert whole.stalled == 2 * len(splits)
@@ -390,7 +393,8 @@ def above_zero(problem, seeds):
         own_problem = problem(hide("session", seed=seed, noise=("gaussian", "t5", "uneven")[seed % 3]))
         selection = forced(own_problem, _rng())
         found = size_findings(selection, own_problem, 2.0)
-        [(whole, _)] = estimate_gains(selection, found, [splits_of(selection)], forced, alpha=2.0, workers=1)
+        searches = FoldSearches(selection, 2.0, select=forced)
+        [(whole, _)] = estimate_gains(selection, found, [splits_of(selection)], searches, workers=1)
         above.append(whole.low > 0)
     return np.array(above)
 

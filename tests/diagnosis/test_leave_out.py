@@ -9,7 +9,11 @@ import pytest
 from scipy.sparse import csr_array
 
 from stickslip_fit.causes import library
-from stickslip_fit.diagnosis.cross_validation import compute_held_out_errors, confirm_held_out_errors
+from stickslip_fit.diagnosis.cross_validation import (
+    confirm_selection,
+    predict_held_out,
+    select_from_training,
+)
 from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.extension import assess_residuals, make_selected
 from stickslip_fit.diagnosis.fold_selection import log_likelihood_change, prepare_looks
@@ -146,16 +150,27 @@ def test_a_refit_loses_rows_as_if_it_were_repeated_without_them(problem):
     assert abs(without - likelihood * len(kept) / len(problem)) > 1.0
 
 
+def repeat_search(selection, split, findings):
+    """Held-out errors of the search repeated."""
+    search = partial(select_in_fold, alpha=ALPHA)
+    selected = select_from_training(selection.problem, split, search, (0, 0))
+    return predict_held_out(selection.problem, split, findings, selected)
+
+
+def confirm_search(looks, split, findings):
+    """The same where that need not be repeated, else None."""
+    selected = confirm_selection(looks, split)
+    return selected and predict_held_out(looks.selection.problem, split, findings, selected)
+
+
 def test_held_out_errors_are_those_of_the_whole_selection_repeated(problem):
     selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
     findings = size_findings(selection, selection.problem, ALPHA)
     assert [one.cause for one in findings] == ["drift"]
     looks = prepare_looks(selection, ALPHA)
     split = hold_out_configurations(selection)[0]
-    confirmed = confirm_held_out_errors(looks, split, findings)
-    repeated = compute_held_out_errors(
-        selection.problem, split, findings, partial(select_in_fold, alpha=ALPHA), (0, 0)
-    )
+    confirmed = confirm_search(looks, split, findings)
+    repeated = repeat_search(selection, split, findings)
     before, after = np.sqrt(np.mean(repeated**2, axis=1))
     np.testing.assert_allclose(confirmed[0], repeated[0], rtol=1e-6)
     assert after < before
@@ -171,19 +186,17 @@ def test_a_law_for_unknown_structure_is_searched_anew_in_each_fold():
     findings = size_findings(selection, selection.problem, ALPHA)
     assert [one.cause for one in findings] == [UNKNOWN]
     looks, split = prepare_looks(selection, ALPHA), hold_out_configurations(selection)[0]
-    repeated = compute_held_out_errors(
-        selection.problem, split, findings, partial(select_in_fold, alpha=ALPHA), (0, 0)
-    )
+    repeated = repeat_search(selection, split, findings)
     before, after = np.sqrt(np.mean(repeated**2, axis=1))
     assert after < 0.5 * before
-    confirmed = confirm_held_out_errors(looks, split, findings)
+    confirmed = confirm_search(looks, split, findings)
     np.testing.assert_allclose(confirmed[0], repeated[0], rtol=1e-6)
     assert np.sqrt(np.mean((confirmed[1] - repeated[1]) ** 2)) < 0.02 * after
     (unknown,) = selection.selected
     paired = replace(selection, selected=(replace(unknown, ahead_of_pairs=2.0),))
-    assert confirm_held_out_errors(prepare_looks(paired, ALPHA), split, findings) is None
+    assert confirm_search(prepare_looks(paired, ALPHA), split, findings) is None
     looks.selection = replace(selection, problem=replace(selection.problem, expressions=lambda _: None))
-    smooth = confirm_held_out_errors(looks, split, findings)
+    smooth = confirm_search(looks, split, findings)
     assert np.sqrt(np.mean((smooth[1] - repeated[1]) ** 2)) > 0.05 * after  # no expression is left to choose
 
 
@@ -207,10 +220,8 @@ def compare_with_repetition(log, causes=None):
     selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
     findings = size_findings(selection, selection.problem, ALPHA)
     looks, split = prepare_looks(selection, ALPHA), hold_out_configurations(selection)[0]
-    repeated = compute_held_out_errors(
-        selection.problem, split, findings, partial(select_in_fold, alpha=ALPHA), (0, 0)
-    )
-    return selection, findings, confirm_held_out_errors(looks, split, findings), repeated
+    repeated = repeat_search(selection, split, findings)
+    return selection, findings, confirm_search(looks, split, findings), repeated
 
 
 @pytest.mark.nightly
@@ -241,7 +252,7 @@ def test_a_law_for_unknown_structure_before_a_cause_is_searched_anew():
     hidden = replace(unknown, naming=replace(unknown.naming, log_evidence_by_cause=rivals))
     unclear = replace(selection, selected=(hidden, drift))
     split = hold_out_configurations(selection)[0]
-    assert confirm_held_out_errors(prepare_looks(unclear, ALPHA), split, findings) is None
+    assert confirm_search(prepare_looks(unclear, ALPHA), split, findings) is None
 
 
 def test_several_causes_are_those_of_the_whole_selection_repeated():
@@ -254,17 +265,15 @@ def test_several_causes_are_those_of_the_whole_selection_repeated():
     assert {one.cause for one in findings} == {"cable-torque", "drift"}
     assert all(one.naming is not None for one in selection.law_causes)
     looks, split = prepare_looks(selection, ALPHA), hold_out_configurations(selection)[0]
-    confirmed = confirm_held_out_errors(looks, split, findings)
-    repeated = compute_held_out_errors(
-        selection.problem, split, findings, partial(select_in_fold, alpha=ALPHA), (0, 0)
-    )
+    confirmed = confirm_search(looks, split, findings)
+    repeated = repeat_search(selection, split, findings)
     after = np.sqrt(np.mean(repeated[-1] ** 2))
     assert np.sqrt(np.mean((confirmed[-1] - repeated[-1]) ** 2)) < 0.1 * after
     first, second = selection.law_causes
     evidence = {**first.naming.log_evidence_by_cause, UNKNOWN: 1e3}  # which would have been selected
     hidden = replace(first, naming=replace(first.naming, log_evidence_by_cause=evidence))
     unclear = replace(selection, selected=(hidden, second))
-    assert confirm_held_out_errors(prepare_looks(unclear, ALPHA), split, findings) is None
+    assert confirm_search(prepare_looks(unclear, ALPHA), split, findings) is None
     assert prepare_looks(replace(selection, selected=(second,)), ALPHA) is None  # another was first
 
 
@@ -279,7 +288,6 @@ def test_a_moment_of_change_is_chosen_without_the_rows_held_out():
     size, moment = selection.fit.values
     elsewhere = replace(selection, fit=replace(selection.fit, values=np.array([size, 0.5 * moment])))
     one, other = (
-        confirm_held_out_errors(prepare_looks(each, ALPHA), split, findings)
-        for each in (selection, elsewhere)
+        confirm_search(prepare_looks(each, ALPHA), split, findings) for each in (selection, elsewhere)
     )
     np.testing.assert_allclose(one, other, rtol=1e-6)

@@ -1,0 +1,56 @@
+"""A cause that is withdrawn for its gain: what it costs, and what is told of it."""
+
+from collections import Counter
+
+import pytest
+
+from stickslip_fit.causes import library
+from stickslip_fit.diagnosis import diagnose, gain, withdrawal
+from stickslip_fit.diagnosis.gain import hold_out_configurations
+from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
+
+FEW = ("drift", "theta-offset", "q2-offset", "cable-torque", "end-stop-latency")
+
+
+@pytest.fixture(scope="module")
+def two():
+    """A diagnosis of two causes, its gain not measured."""
+    log = read_hidden(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
+    found = diagnose(log, causes=[one for one in library() if one.name in FEW], gain=False)
+    assert {one.cause for one in found.findings} == {"drift", "end-stop-latency"}
+    return found
+
+
+@pytest.fixture(scope="module")
+def without_first(two):
+    """The same with the gain, as if held-out traverses did not support the first cause; and all searches."""
+    searched, first = Counter(), two.findings[0].cause
+    supported, search, confirm = withdrawal.is_supported, gain.select_from_training, gain.confirm_selection
+
+    def counted(function, place):
+        def call(*arguments):
+            found = function(*arguments)
+            searched[arguments[place].train.tobytes()] += found is not None
+            return found
+
+        return call
+
+    verdicts = iter([False])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gain, "select_from_training", counted(search, 1))
+        patch.setattr(gain, "confirm_selection", counted(confirm, 1))
+        patch.setattr(withdrawal, "is_supported", lambda one: next(verdicts, True) and supported(one))
+        measured = two.measure_gain()
+    assert [one.cause for one in measured.findings[-1].withdrawn] == [first]
+    return measured, searched
+
+
+def test_no_search_is_repeated_for_a_cause_that_is_withdrawn(two, without_first):
+    """Folds that hold out more, since fewer causes have to stay determined, are searched."""
+    measured, searched = without_first
+    splits = [*hold_out_configurations(two.selection), *hold_out_configurations(measured.selection)]
+    assert set(searched.values()) == {1}
+    assert set(searched) == {split.train.tobytes() for split in splits}
+    assert len(searched) < len(splits)
+    assert measured.gain.extended < measured.gain.baseline
