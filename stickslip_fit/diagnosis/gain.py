@@ -7,7 +7,7 @@ of the gain comes from `gain_interval`, for which `_linearize_campaign` prepares
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, pairwise
@@ -29,7 +29,7 @@ from stickslip_fit.diagnosis.cross_validation import (
     select_from_training,
 )
 from stickslip_fit.diagnosis.evidence import log_likelihood_ratio
-from stickslip_fit.diagnosis.extension import SelectedCause
+from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes
 from stickslip_fit.diagnosis.finding import Finding, Gain
 from stickslip_fit.diagnosis.fold_selection import prepare_looks
 from stickslip_fit.diagnosis.gain_interval import (
@@ -177,7 +177,9 @@ def estimate_gains(
     extending = [finding for finding in findings if finding.version is not None]
     if extending:
         ends, numbered = np.cumsum([len(splits) for splits in sets]), list(chain(*map(enumerate, sets)))
-        predict_from = partial(predict, selection.problem, findings=extending)
+        named = {cause for finding in extending for cause in finding.cause_set}
+        withdrawn = {one.cause for finding in findings for one in finding.withdrawn} - named
+        predict_from = partial(_predict_without, withdrawn, predict, selection.problem, extending)
         errors = _collect_errors(predict_from, confirm, searches, numbered, workers, progress)
         held_out = [
             _leave_out_stalls(splits, np.concatenate(errors[end - len(splits) : end], axis=1))
@@ -213,6 +215,21 @@ def _compare_errors(
     return _make_gain(selection, splits, errors[[0, -1]], limits[:, -1]), own
 
 
+def _predict_without(
+    withdrawn: Collection[str],
+    predict: Prediction,
+    problem: DiagnosisProblem,
+    findings: Sequence[Finding],
+    split: Split,
+    selection: Selection,
+) -> Array:
+    """Errors with what was selected from the training rows, without causes that are withdrawn."""
+    kept = tuple(one for one in selection.selected if one.cause not in withdrawn)
+    if len(kept) < len(selection.selected):
+        selection = replace(selection, selected=kept, fit=fit_causes(selection.problem, kept))
+    return predict(problem, split, findings, selection)
+
+
 def _search_split(
     predict: Callable[..., Array],
     problem: DiagnosisProblem,
@@ -222,7 +239,7 @@ def _search_split(
 ) -> tuple[Selection, Array]:
     """What is selected from the training rows of a split, and the errors with it."""
     selection = select_from_training(problem, split, selector, seed).without_tests
-    return selection, predict(split, selection=selection)
+    return selection, predict(split, selection)
 
 
 def _collect_errors(
@@ -241,7 +258,7 @@ def _collect_errors(
             known[key] = confirmed.without_tests
     open_splits = [place for place, key in enumerate(keys) if key not in known]
     errors = {
-        place: predict(split, selection=known[key])
+        place: predict(split, known[key])
         for place, (key, (_, split)) in enumerate(zip(keys, splits, strict=True))
         if key in known
     }

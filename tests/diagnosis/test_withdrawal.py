@@ -54,3 +54,10 @@ def test_no_search_is_repeated_for_a_cause_that_is_withdrawn(two, without_first)
     assert set(searched) == {split.train.tobytes() for split in splits}
     assert len(searched) < len(splits)
     assert measured.gain.extended < measured.gain.baseline
+
+
+def test_what_is_withdrawn_is_in_the_law_of_no_fold(two, without_first):
+    """Here it does predict better, so that without it more is left."""
+    both, (measured, _) = two.measure_gain().gain, without_first
+    assert measured.gain.extended > 1.2 * both.extended
+    assert measured.gain.extended < 0.9 * measured.gain.baseline
