@@ -9,16 +9,14 @@ from stickslip_fit._format import join_words
 from stickslip_fit.diagnosis._unknown_summary import name_carrier
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
-from stickslip_fit.logs.schema import has_times
 
 MANY_SESSIONS = 3  # above which they are counted instead of named
 NOISY = 2.0  # times the noise of the quietest session
-PART_OF_SESSION = "part of a session"
 COMMON = {
     "configuration": "in some configurations",
     "range": "in some ranges of the travel",
     "position": "in some places of the travel",
-    PART_OF_SESSION: "in some parts of the sessions",
+    "part of a session": "in some parts of the sessions",
 }
 
 
@@ -44,8 +42,6 @@ def _describe_unevenness(problem: DiagnosisProblem, carrier: str) -> str:
     if carrier != "session":
         size = float(ratio.quantile(0.98) / ratio.quantile(0.02))
         where = COMMON.get(carrier, f"at some values of {name_carrier(carrier)}")
-        if carrier == PART_OF_SESSION and not has_times(problem.rows):
-            where = "in some stretches of the log's rows"
         return f"it is up to {size:.0f} times as large {where} as {where[:2]} others"
     by_session = ratio.groupby(problem.rows["session"].to_numpy(object)).median()
     noisy = by_session[by_session > NOISY * by_session.min()]

@@ -238,7 +238,6 @@ def group_rows(
     """Groupings of rows within which the noise may be larger, by what the rows of a group have in common."""
     rows, n = linearized.rows, len(linearized)
     session = pd.factorize(rows["session"].astype(object))[0]
-    part = rank_within(session) * N_PARTS // np.bincount(session)[session]  # in the order of the rows
     joint, everywhere = np.zeros(n, dtype=int), np.zeros(n, dtype=int)
     labels: dict[str, npt.NDArray[np.integer]] = {}
     if {"joint", "start", "stop", "before_load"} <= set(rows.columns):
@@ -248,9 +247,13 @@ def group_rows(
         for carrier in find_carriers(linearized):
             labels[carrier.name] = _bin(traverse_average(carrier.values), joint)
         labels[POSITION] = _bin(_estimate_local_sds(ends, joint, residuals), joint)
+    parts = {}
+    if rows["session_seconds"].notna().all():  # else the order of the rows means nothing
+        part = rank_within(session) * N_PARTS // np.bincount(session)[session]
+        parts["part of a session"] = _make_grouping(session * N_PARTS + part, everywhere)
     groupings = {
         "session": _make_grouping(session, everywhere, 0),
-        "part of a session": _make_grouping(session * N_PARTS + part, everywhere),
+        **parts,
         "configuration": _make_grouping(configuration, joint),
         **{name: _make_grouping(label, joint) for name, label in labels.items()},
     }

@@ -1,5 +1,7 @@
 """Noise that is many times larger somewhere is seen, whatever it follows; noise as assumed is not uneven."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -128,7 +130,8 @@ def test_what_calibration_fitted_before_makes_no_difference():
 
 
 def test_rows_of_any_table_are_grouped_by_session_and_configuration():
-    rows = pd.DataFrame({"session": ["a", "b"] * 30, "x": np.arange(60.0)})
+    seconds = np.repeat(np.arange(30.0), 2)
+    rows = pd.DataFrame({"session": ["a", "b"] * 30, "session_seconds": seconds, "x": np.arange(60.0)})
     plain = LinearizedFit(rows, (), np.ones(60), np.zeros(60), None, ())
     nothing = np.zeros(60, dtype=int)
     alone = Residuals(np.ones(60), nothing, np.zeros((60, 1)), nothing)
@@ -136,3 +139,5 @@ def test_rows_of_any_table_are_grouped_by_session_and_configuration():
     assert set(groupings) == {"session", "part of a session", "configuration"}
     assert len(groupings["part of a session"].stratum) == 6
     assert "configuration" not in group_rows(plain, np.arange(60), alone)  # single rows are no groups
+    untimed = replace(plain, rows=rows.assign(session_seconds=np.nan))  # rows in any order
+    assert set(group_rows(untimed, np.arange(60) % 5, alone)) == {"session", "configuration"}
