@@ -124,10 +124,11 @@ def _findings_tables(diagnosis: Diagnosis, words: Words) -> list[Table]:
             name_findings(diagnosis.findings), diagnosis.findings, effects, strict=True
         )
     ]
+    beside = " in the law with all others" * (len(diagnosis.findings) > 1)
     note = (
-        f"Effect: rms over all {words.info.row}s of what the cause does to {words.info.response}, beyond "
-        "what the law's own parameters absorb. p: the chance of anything as far off, anywhere that was "
-        "searched, if nothing were wrong."
+        f"Effect: rms over all {words.info.row}s of what the cause does to {words.info.response}{beside}, "
+        "beyond what the law's own parameters absorb. p: the chance of anything as far off, anywhere that "
+        "was searched, if nothing were wrong."
     )
     found = _without_empty("What is wrong", columns, rows, "joints", note=note)
     outliers = [_outliers_table(one, words) for one in diagnosis.findings if one.traverses is not None]

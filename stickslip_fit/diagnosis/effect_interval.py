@@ -1,9 +1,10 @@
 """How large an effect is: its rms over all rows, and the interval of that.
 
-What is wanted is the rms of an effect over all rows with equal weight, beyond what calibration absorbs. Its
-error is propagated from that of the parameters, which are fitted and known by the expected variance of each
-response (`noise`). Parameters with a prior have a posterior distribution; others make an effect longer than
-it is, by what noise adds in every direction of theirs.
+What is wanted is what a cause changes in the law with all other findings: the rms of its effect over all rows
+with equal weight, beyond what calibration absorbs. Its error is propagated from that of the parameters, which
+are fitted and known by the expected variance of each response (`noise`). Parameters with a prior have a
+posterior distribution; others make an effect longer than it is, by what noise adds in every direction of
+theirs.
 
 The length z of an estimated effect, in standard errors, is noncentral chi distributed; since it was selected
 only because it exceeded the detection threshold, its interval inverts the distribution of z conditional on
@@ -13,6 +14,8 @@ detection (J. D. Lee et al., Ann. Stat. 44:907, 2016, for the normal case).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import reduce
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc, gammaln
@@ -21,7 +24,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
 from stickslip_fit.diagnosis.hypotheses import compute_changes
-from stickslip_fit.diagnosis.linearized import LinearizedFit, RowSubset, linearize_fit
+from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit, RowSubset
 from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
@@ -98,18 +101,15 @@ class LawEffect:
         return found.times(self.error / float(np.sqrt(len(self.changes))))
 
 
-def estimate_effect(
-    selection: Selection, linearized: LinearizedFit, selected: SelectedCause, place: slice
-) -> LawEffect:
-    """The effect of a selected cause, whose parameters are `place` of those of the fit.
-
-    `linearized` is the baseline.
-    """
+def estimate_effect(selection: Selection, selected: SelectedCause) -> LawEffect:
+    """The effect of a selected cause in the law with all others."""
+    place, beside = selection.place_of(selected.version), fit_beside(selection, selected)
+    linearized = selection.problem.linearize_extended(beside)
     every_value, every_covariance = _refit(selection)
     values, covariance = every_value[place], every_covariance[place, place]
     steps = DIFFERENCE_STEP * np.array(selected.version.scale)
     trials = np.concatenate([values[None], values + np.diag(steps)])
-    plain = linearize_unweighted(selection)
+    plain = linearize_unweighted(selection.problem, beside)
     changes = compute_changes(plain, selected.version, trials)
     whitened = linearized.project(linearized.whiten(changes))
     forms, sizes, kept = _forms_beyond_fit(selection, selected)
@@ -246,20 +246,39 @@ def _bounds(selection: Selection) -> tuple[Array, Array]:
     return np.array([one.lower for one in parameters]), np.array([one.upper for one in parameters])
 
 
-def linearize_unweighted(selection: Selection) -> LinearizedFit:
-    """The laws without causes about their values in the fit with causes, the same noise in all rows.
+def fit_beside(selection: Selection, without: SelectedCause) -> ExtendedFit:
+    """The fit of the laws with all causes but one, whose parameters count as known.
 
-    About their own values where a joint would stall at those without the causes.
+    Calibrated as without causes where a joint would stall.
     """
-    problem = selection.problem
+    problem, fit = selection.problem, selection.fit
+    others = [one for one in selection.law_causes if one.version is not without.version]
+    kept = np.ones(len(fit.values), dtype=bool)
+    if without.version is not None:
+        kept[selection.place_of(without.version)] = False
     parts = []
-    for part, fitted in zip(problem.parts, selection.fit.parts, strict=True):
-        values = fitted.values[:, : part.values.shape[1]]
-        predicted, _ = part.law.model(RowSubset(problem.rows, part.rows))(values)
-        parts.append(replace(part, values=values) if np.all(np.isfinite(predicted)) else part)
-    return linearize_fit(
-        problem.rows, parts, problem.responses, np.ones(len(problem)), shared=problem.n_shared
+    for part, fitted in zip(problem.parts, fit.parts, strict=True):
+        law = reduce(lambda law, one: one.version.extend(law), others, part.law)
+        own = part.values.shape[1]
+        values = fitted.values[:, np.append(np.ones(own, dtype=bool), kept)]
+        if not np.all(np.isfinite(law.predict(RowSubset(problem.rows, part.rows), values))):
+            values = np.concatenate([part.values, values[:, own:]], axis=1)
+        parts.append(replace(part, law=law, values=values))
+    known: dict[str, Any] = {"prior_sd": np.full(kept.sum(), np.inf), "at_bound": np.ones(kept.sum(), bool)}
+    return replace(fit, parts=tuple(parts), values=fit.values[kept], **known)
+
+
+def linearize_unweighted(problem: DiagnosisProblem, fit: ExtendedFit) -> LinearizedFit:
+    """A fit of the extended laws, linearized with the same independent noise in all rows."""
+    alike = replace(
+        problem,
+        repeatability=np.ones_like(problem.repeatability),
+        noise_ratio=np.ones(len(problem)),
+        rounding=np.zeros(len(problem)),
+        autocorrelation=None,
+        uncertain=(),
     )
+    return alike.linearize_extended(fit)
 
 
 def _forms_beyond_fit(selection: Selection, selected: SelectedCause) -> tuple[Array, Array, float]:

@@ -31,7 +31,6 @@ from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding, joints_of_laws
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, acts_on
 from stickslip_fit.diagnosis.lack_of_fit import LackOfFit
-from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, predict_departures
@@ -49,7 +48,6 @@ def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float)
 
     `problem` is the one from which was selected, outlying rows included; `alpha` the false-alarm rate.
     """
-    linearized = selection.problem.linearize()
     covariance = expected_covariance(selection)
     findings = []
     for selected in selection.selected:
@@ -61,22 +59,15 @@ def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float)
                 finding = _with_law(finding, selection, selected, covariance)
             findings.append(finding)
         else:
-            place = selection.place_of(selected.version)
-            findings.append(_size_cause(selection, linearized, selected, place, covariance, alpha))
+            findings.append(_size_cause(selection, selected, covariance, alpha))
     return tuple(sorted(findings, key=lambda finding: (finding.cause == UNKNOWN, -finding.effect.estimate)))
 
 
-def _size_cause(
-    selection: Selection,
-    linearized: LinearizedFit,
-    selected: SelectedCause,
-    place: slice,
-    covariance: Array,
-    alpha: float,
-) -> Finding:
+def _size_cause(selection: Selection, selected: SelectedCause, covariance: Array, alpha: float) -> Finding:
+    place = selection.place_of(selected.version)
     values = selection.fit.values[place]
-    effect = estimate_effect(selection, linearized, selected, place)
-    size = effect.interval(detection_threshold(selected, linearized.df, alpha))
+    effect = estimate_effect(selection, selected)
+    size = effect.interval(detection_threshold(selected, selection.problem.linearize().df, alpha))
     if effect.strength > MAX_CONDITIONAL_STRENGTH:
         size = _with_lack(size, effect, selection)
     strength = size.estimate * effect.strength / effect.rms

@@ -25,6 +25,7 @@ from stickslip_fit.diagnosis.effect_interval import (
     LawEffect,
     detection_threshold,
     estimate_effect,
+    fit_beside,
     linearize_unweighted,
     strength_interval,
 )
@@ -132,13 +133,13 @@ class _Component:
 def _size_structure(selection: Selection, selected: SelectedCause, shape: Array, alpha: float) -> Interval:
     """Rms of unknown structure, of which `shape`, (n,), is an estimate, whitened."""
     problem, misfit = selection.problem, selected.test
-    linearized, plain = selection.linearized, linearize_unweighted(selection)
+    linearized = selection.linearized
+    plain = linearize_unweighted(problem, fit_beside(selection, selected))
     law, candidates, left = None, _alternatives(misfit, selected.cause), None
     if selected.version is None:
         left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence, linearized.df)
     else:
-        place = selection.place_of(selected.version)
-        law = estimate_effect(selection, problem.linearize(), selected, place)
+        law = estimate_effect(selection, selected)
         linearized = problem.linearize_extended(selection.fit)
         candidates = _beyond_law(misfit, linearized)
     ratio = (expect_noise(problem, selection.linearized, left).scale / problem.scale) ** 2

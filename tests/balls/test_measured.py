@@ -29,6 +29,7 @@ def test_drag_of_each_ball_is_found_in_all_drops_together(frames):
     values, _, _ = fit_by_scipy(frames, "linear-drag", slanted=True)
     (slant,) = second.parameters
     assert abs(slant.size.estimate - values["slant"]) < slant.size.high - slant.size.estimate
+    assert second.effect.high < 0.2  # m beside drag; 0.54 m in free fall
     sizes = {one.name: one.size for one in first.parameters}
     whiffle = ["orange-whiffle-ball", "whiffle-ball-1", "whiffle-ball-2", "yellow-whiffle-ball"]
     for ball in whiffle:

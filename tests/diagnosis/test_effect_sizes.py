@@ -2,10 +2,13 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from stickslip_fit.diagnosis import diagnose
+from stickslip_fit.diagnosis.effect_interval import fit_beside, linearize_unweighted
 from stickslip_fit.diagnosis.effect_size import size_findings
+from stickslip_fit.diagnosis.hypotheses import compute_changes
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
 
@@ -46,6 +49,19 @@ def test_a_cause_and_structure_beside_it_have_their_own_sizes(both):
     for name, true in truth.items():
         assert size[name].low <= true <= size[name].high
         assert size[name].high - size[name].low < 0.6 * true
+
+
+def test_each_has_the_effect_that_it_has_in_the_law_with_the_other(both):
+    _, found = both
+    selection, changes = found.selection, {}
+    for one, place in zip(selection.law_causes, selection.slices, strict=True):
+        beside = linearize_unweighted(selection.problem, fit_beside(selection, one))
+        changes[one.cause] = compute_changes(beside, one.version, selection.fit.values[None, place])[:, 0]
+        for part, whole in zip(beside.parts, selection.fit.parts, strict=True):
+            rows = selection.problem.rows.iloc[part.rows]
+            change = whole.law.predict(rows, whole.values) - part.law.predict(rows, part.values)
+            np.testing.assert_allclose(changes[one.cause][part.rows], change, rtol=0.05, atol=1e-5)
+    assert len(changes) == 2
 
 
 def test_what_the_choice_of_a_law_leaves_open_adds_to_errors_alone(both):

@@ -8,10 +8,11 @@ import pytest
 from scipy.stats import binom
 
 from stickslip_fit.diagnosis import diagnose
-from stickslip_fit.diagnosis.effect_interval import expected_covariance, linearize_unweighted
+from stickslip_fit.diagnosis.effect_interval import expected_covariance, fit_beside, linearize_unweighted
 from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.finding import shown_size
 from stickslip_fit.diagnosis.problem import problem_from_log
+from stickslip_fit.diagnosis.selection import empty_selection
 from tests.hidden.generate import UnreachableError, hide
 from tests.hidden.reading import read_hidden
 from tests.hidden.study import DESIGNS, NOISES
@@ -100,7 +101,12 @@ def test_laws_that_stall_without_their_causes_are_linearized_about_their_own_val
         replace(part, values=part.values * ([1.0, 1.0, 9.0] if own else 1.0))
         for part, own in zip(problem.parts, joint3, strict=True)
     ]
-    found = linearize_unweighted(SimpleNamespace(problem=problem, fit=SimpleNamespace(parts=stalled)))
-    same = linearize_unweighted(SimpleNamespace(problem=problem, fit=SimpleNamespace(parts=problem.parts)))
+    whole, nothing = empty_selection(problem), SimpleNamespace(version=None)
+    found, same = (
+        linearize_unweighted(
+            problem, fit_beside(replace(whole, fit=replace(whole.fit, parts=parts)), nothing)
+        )
+        for parts in (stalled, problem.parts)
+    )
     assert any(joint3)
     np.testing.assert_allclose(found.residual, same.residual, atol=1e-12)
