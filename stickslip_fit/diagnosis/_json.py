@@ -55,6 +55,7 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "findings": [_finding_to_json(finding, percent, joints) for finding in diagnosis.findings],
         "inclusion": dict(diagnosis.inclusion),
         "untestable": [{"cause": cause, "reason": why} for cause, why in diagnosis.untestable.items()],
+        "withdrawn": [{"cause": cause, "reason": why} for cause, why in diagnosis.withdrawn.items()],
         "notes": list(diagnosis.notes),
         "alike": [list(pair) for pair in diagnosis.aliased_causes],
         "gain": gain and {"metric": metric, **gain},

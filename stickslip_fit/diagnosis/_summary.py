@@ -53,7 +53,7 @@ def write_headline(diagnosis: Diagnosis) -> list[str]:
     """Sentences: what is wrong, what to do about it, what else is wrong, and how much the data tell."""
     words = find_words(diagnosis)
     if diagnosis.findings:
-        told = words.tell_findings()
+        told = [*words.tell_findings(), *words.tell_rest()]
     else:
         told = [*words.tell_no_finding(), words.describe_untestable()]
     return [*words.flags(), *told, *words.notes()]
@@ -258,14 +258,13 @@ def rank_causes(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
     structure has that of the cause that it is most like, if that is not named.
     """
     evidence = dict(diagnosis.selection.last_misfit.log_evidence_by_cause)
-    withdrawn = [one.cause for finding in diagnosis.findings for one in finding.withdrawn]
     for selected in diagnosis.selection.selected:
         if selected.misfit is not None:
             own = selected.misfit.log_evidence_by_cause
             names = (selected.cause, *selected.cause_set.rivals)
             if selected.cause == UNKNOWN and selected.version is None:
                 own = own | {UNKNOWN: max(own.values())}
-                names = (UNKNOWN, *withdrawn)
+                names = (UNKNOWN, *diagnosis.withdrawn)
             evidence |= {cause: own[cause] for cause in names if cause in own}
     probability = {cause: value for cause, value in diagnosis.inclusion.items() if value is not None}
     order = sorted(probability, key=lambda cause: (-probability[cause], cause))
@@ -273,19 +272,29 @@ def rank_causes(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
 
 
 def ranking_tables(diagnosis: Diagnosis) -> list[Table]:
-    """The likeliest causes, or no table."""
-    ranked = [row for row in rank_causes(diagnosis) if row[1] >= MIN_PROBABILITY][:MAX_RANKED]
+    """The likeliest causes and those that are withdrawn, or no table."""
+    withdrawn, every = diagnosis.withdrawn, rank_causes(diagnosis)
+    ranked = [one for one in every if one[1] >= MIN_PROBABILITY and one[0] not in withdrawn][:MAX_RANKED]
+    ranked += [(cause, np.nan, power) for cause, _, power in every if cause in withdrawn]
     columns = (Column("cause", text=True), Column("probability", "%"), Column("Bayes factor"))
     rows = tuple(
-        (cause, f"{100 * probability:.0f}" if probability < 0.995 else "> 99", format_bayes_factor(power))
+        (cause, _format_probability(probability), format_bayes_factor(power))
         for cause, probability, power in ranked
     )
     note = (
         "Probability: that the cause is at work; several may be at once. Bayes factor: how much likelier the "
         "data are with the cause than with noise alone."
     )
+    note += "".join(f" Withdrawn: {cause}, since {why}." for cause, why in withdrawn.items())
     unlikely = not diagnosis.findings
     return [Table("Candidate causes", columns, rows, note=note, folded=unlikely)] if rows else []
+
+
+def _format_probability(probability: float) -> str:
+    """In per cent; of a cause that is withdrawn NaN."""
+    if np.isnan(probability):
+        return "withdrawn"
+    return f"{100 * probability:.0f}" if probability < 0.995 else "> 99"
 
 
 def format_bayes_factor(power: float) -> str:

@@ -20,6 +20,7 @@ from stickslip_fit.diagnosis._unknown_summary import describe_share
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, DataInfo, Finding, Gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import compute_shape, term_change
+from stickslip_fit.diagnosis.selection import allocate_alpha
 from stickslip_fit.diagnosis.withdrawal import explain_unsupported
 from stickslip_fit.laws.published import name_of_laws
 
@@ -30,6 +31,7 @@ MAX_UNTESTABLE_NAMED = 4
 MIN_CORRELATION = 0.5  # of an effect with a column, to be told as rising or falling
 MIN_LEFT = 1e-3  # of a column's spread, of which less is rounding
 MIN_BULGE = 0.25  # of its range, by which it is larger or smaller at middle values
+MIN_REST = 0.3  # probability of structure without a name beside what is named, to be told
 MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
 
 
@@ -67,6 +69,20 @@ class Words(ABC):
     @abstractmethod
     def outlier_cells(self, row: pd.Series) -> dict[str, str]:
         """What identifies a row with an outlying value: cells by the heads of their columns."""
+
+    def tell_rest(self) -> list[str]:
+        """That structure without a name may be left, as a sentence, where that is not unlikely."""
+        diagnosis, last = self.diagnosis, self.diagnosis.selection.last_misfit
+        probability = diagnosis.inclusion.get(UNKNOWN) or 0.0
+        if probability < MIN_REST or any(one.cause == UNKNOWN for one in diagnosis.findings):
+            return []
+        found = ""
+        if last.p_value >= allocate_alpha(diagnosis.alpha):
+            found = ", though the test of that raises no alarm"
+        return [
+            "In what that leaves there may be structure without a name, with a probability of "
+            f"{100 * probability:.0f} %{found} (p {format_p_value(last.p_value, relation=True)})."
+        ]
 
     def flags(self) -> list[str]:
         """What is doubtful of the law itself."""

@@ -24,7 +24,7 @@ from stickslip_fit.diagnosis.residuals import remove_effects
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.diagnosis.stage_change import StageReading
 from stickslip_fit.diagnosis.table_gain import measure_table_gain
-from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
+from stickslip_fit.diagnosis.withdrawal import explain_unsupported, find_unsupported, withdraw_causes
 from stickslip_fit.errors import InputError, check_workers
 from stickslip_fit.estimation import Result, fit_least_squares
 from stickslip_fit.estimation.result import AxesArray, build_provenance, convert_table
@@ -172,11 +172,14 @@ class Diagnosis(Summarized):
             unsupported = find_unsupported(findings)
             if not unsupported:
                 break
+            for one in unsupported:
+                # Something is there, and if not this cause, it has no name: probabilities change places.
+                probability = inclusion[one.cause] or 0.0
+                unknown = selection.behind(one).cause_set.probability.get(UNKNOWN, 0.0)
+                there = max(probability, inclusion.get(UNKNOWN) or 0.0)
+                inclusion |= {one.cause: min(unknown, probability), UNKNOWN: there}
             selection, findings = withdraw_causes(selection, findings, unsupported, self.info)
             options["progress"] = _say_again(progress, [one.cause for one in unsupported])
-            for one in unsupported:
-                unknown = inclusion.get(UNKNOWN) or 0.0
-                inclusion |= {UNKNOWN: max(inclusion[one.cause] or 0.0, unknown), one.cause: unknown}
         return replace(
             self,
             verdict=choose_verdict(findings),
@@ -187,6 +190,12 @@ class Diagnosis(Summarized):
             gain_new_session=new_session,
             seconds=self.seconds + time.perf_counter() - began,
         )
+
+    @property
+    def withdrawn(self) -> dict[str, str]:
+        """Causes that are not named since they do not predict better, with the reason as a clause."""
+        every = (one for finding in self.findings for one in finding.withdrawn)
+        return {one.cause: explain_unsupported(one.gain, self.info) for one in every if one.gain is not None}
 
     def explain_unknown(self) -> pd.DataFrame:
         """Each known cause's share of the unknown structure, and what it alone would gain.
@@ -307,11 +316,12 @@ class Diagnosis(Summarized):
     def ranking(self) -> pd.DataFrame:
         """Every candidate cause, likeliest first.
 
-        cause, probability (NaN where it is untestable), untestable: the reason.
+        cause, probability (NaN where it is untestable), untestable and withdrawn: the reason.
         """
         table = pd.DataFrame({"cause": list(self.inclusion), "probability": list(self.inclusion.values())})
         table["probability"] = table["probability"].astype(float)
-        table["untestable"] = table["cause"].map(dict(self.untestable)).fillna("")
+        for name in ("untestable", "withdrawn"):
+            table[name] = [getattr(self, name).get(cause, "") for cause in table["cause"]]
         return table.sort_values("probability", ascending=False, kind="stable", ignore_index=True)
 
     def plot(self) -> AxesArray:

@@ -47,11 +47,12 @@ MAX_CAUSES = 8
 MIN_LOG10_PROBABILITY = -12.0  # smaller ones are drawn there
 MAX_NAME_LENGTH = 24
 NAMED_LABEL, ALIASED_LABEL, OTHER_LABEL = "named", "aliased with it", "another cause"
-CHANCE_LABEL = "chance alone"
+CHANCE_LABEL, WITHDRAWN_LABEL = "chance alone", "withdrawn"
 LABEL_STYLES = {
     NAMED_LABEL: (BLUE, "o"),
     ALIASED_LABEL: (VERMILLION, "s"),
     OTHER_LABEL: (GREY, "^"),
+    WITHDRAWN_LABEL: (VERMILLION, "X"),
     CHANCE_LABEL: (INK, "D"),
 }
 
@@ -95,7 +96,7 @@ def list_selection_steps(diagnosis: Diagnosis) -> list[tuple[str, Misfit, str, t
 def plot_ranking(diagnosis: Diagnosis) -> Figure:
     """One panel for each step of the selection, below one another."""
     steps = list_selection_steps(diagnosis)
-    rankings = [_rank_causes(misfit, named, aliased) for _, misfit, named, aliased in steps]
+    rankings = [_rank_causes(*step[1:], tuple(diagnosis.withdrawn)) for step in steps]
     longest = max(len(shorten(cause, MAX_NAME_LENGTH)) for ranking in rankings for cause, *_ in ranking)
     labels = {label for ranking in rankings for *_, label in ranking}
     least = min(power for ranking in rankings for _, power, _ in ranking)
@@ -122,7 +123,9 @@ def plot_ranking(diagnosis: Diagnosis) -> Figure:
     return figure
 
 
-def _rank_causes(misfit: Misfit, named: str, aliased: Sequence[str]) -> list[tuple[str, float, str]]:
+def _rank_causes(
+    misfit: Misfit, named: str, aliased: Sequence[str], withdrawn: Sequence[str]
+) -> list[tuple[str, float, str]]:
     """Name, log10 of the probability, and label; likeliest first."""
     if not misfit.log_evidence_by_cause:
         return [(CHANCE_LABEL, 0.0, CHANCE_LABEL)]
@@ -132,6 +135,7 @@ def _rank_causes(misfit: Misfit, named: str, aliased: Sequence[str]) -> list[tup
     order = sorted(range(len(causes)), key=lambda k: -powers[k])
     likeliest = [k for k in order if causes[k] != CHANCE_LABEL][:MAX_CAUSES]
     labels = {CHANCE_LABEL: CHANCE_LABEL, named: NAMED_LABEL} | dict.fromkeys(aliased, ALIASED_LABEL)
+    labels |= dict.fromkeys(withdrawn, WITHDRAWN_LABEL)
     return [
         (causes[k], float(powers[k]), labels.get(causes[k], OTHER_LABEL))
         for k in order

@@ -1,12 +1,18 @@
 """A cause that is withdrawn for its gain: what it costs, and what is told of it."""
 
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 
+import stickslip_fit as ssf
 from stickslip_fit.causes import library
 from stickslip_fit.diagnosis import diagnose, gain, withdrawal
+from stickslip_fit.diagnosis._json import diagnosis_to_json
+from stickslip_fit.diagnosis._summary import ranking_tables
 from stickslip_fit.diagnosis.gain import hold_out_configurations
+from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.plotting.diagnosis import plot_ranking
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
 
@@ -24,7 +30,10 @@ def two():
 
 @pytest.fixture(scope="module")
 def without_first(two):
-    """The same with the gain, as if held-out traverses did not support the first cause; and all searches."""
+    """The same with the gain, as if held-out traverses did not support the first cause; and all searches.
+
+    Beside the two, structure without a name is as good as certain.
+    """
     searched, first = Counter(), two.findings[0].cause
     supported, search, confirm = withdrawal.is_supported, gain.select_from_training, gain.confirm_selection
 
@@ -41,7 +50,7 @@ def without_first(two):
         patch.setattr(gain, "select_from_training", counted(search, 1))
         patch.setattr(gain, "confirm_selection", counted(confirm, 1))
         patch.setattr(withdrawal, "is_supported", lambda one: next(verdicts, True) and supported(one))
-        measured = two.measure_gain()
+        measured = replace(two, inclusion=two.inclusion | {UNKNOWN: 0.99}).measure_gain()
     assert [one.cause for one in measured.findings[-1].withdrawn] == [first]
     return measured, searched
 
@@ -61,3 +70,29 @@ def test_what_is_withdrawn_is_in_the_law_of_no_fold(two, without_first):
     both, (measured, _) = two.measure_gain().gain, without_first
     assert measured.gain.extended > 1.2 * both.extended
     assert measured.gain.extended < 0.9 * measured.gain.baseline
+
+
+def test_a_cause_that_is_withdrawn_is_told_as_such_wherever_causes_are_listed(two, without_first):
+    cause, (measured, _) = two.findings[0].cause, without_first
+    assert two.inclusion[cause] > 0.95
+    assert measured.inclusion[cause] < 0.05
+    assert measured.inclusion[UNKNOWN] > 0.95
+    why = measured.withdrawn[cause]
+    assert why.startswith("held-out traverses are predicted")
+    (table,) = ranking_tables(measured)
+    assert {row[0]: row[1] for row in table.rows}[cause] == "withdrawn"
+    assert f"Withdrawn: {cause}, since {why}." in table.note
+    assert diagnosis_to_json(measured)["withdrawn"] == [{"cause": cause, "reason": why}]
+    assert measured.ranking.set_index("cause").loc[cause, "withdrawn"] == why
+    assert any(line.get_marker() == "X" for axis in plot_ranking(measured).axes for line in axis.lines)
+    assert "withdrawn" not in str(two)
+    assert diagnosis_to_json(two)["withdrawn"] == []
+
+
+def test_structure_without_a_name_that_may_be_left_is_told_in_text_and_page(two):
+    half, unlikely = (replace(two, inclusion=two.inclusion | {UNKNOWN: one}) for one in (0.5, 0.1))
+    said = "there may be structure without a name, with a probability of"
+    for answer in (" ".join(str(half).split()), ssf.report(half.log, diagnosis=half).html):
+        assert said in answer
+    assert diagnosis_to_json(half)["inclusion"][UNKNOWN] == 0.5
+    assert "there may be structure" not in " ".join(str(unlikely).split())
