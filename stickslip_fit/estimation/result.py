@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -415,11 +415,17 @@ def has_enough_replicates(noise: NoiseLevel) -> bool:
 
 
 FORMAT, VERSION = "stickslip-fit/result", 1
+COMMON_TOL = 1e-6  # relative, and of a standard error: each group has its own rounding
+ROUNDING_TOL = 1e-12  # of a correlation
 SCHEMA = f"{FORMAT}/{VERSION}"
 
 
 def result_to_json(result: Result) -> dict[str, Any]:
-    """The content of the file that `Result.save` writes, but for its checksum; plain JSON types."""
+    """The content of the file that `Result.save` writes, but for its checksum; plain JSON types.
+
+    Of causes with hundreds of parameters nearly all of a group's covariance is that of all other groups, too.
+    """
+    common = _common_covariance(result.joints.values())
     return {
         "schema": SCHEMA,
         "method": result.method,
@@ -427,7 +433,8 @@ def result_to_json(result: Result) -> dict[str, Any]:
         "remarks": [asdict(flag) for flag in result.flags],
         "provenance": asdict(result.provenance),
         "machine": _machine_to_json(result.machine),
-        "joints": [_joint_to_json(fit) for fit in result.joints.values()],
+        **({} if common is None else {"cause_covariance": _triangle_to_json(common)}),
+        "joints": [_joint_to_json(fit, common) for fit in result.joints.values()],
         "residuals": {
             "row": [int(row) for row in result.residuals.index],
             "joint": [int(joint) for joint in result.residuals["joint"]],
@@ -475,7 +482,31 @@ def _machine_to_json(machine: Machine) -> dict[str, Any]:
     return {name: value for name, value in content.items() if name not in absent}
 
 
-def _joint_to_json(fit: JointFit) -> dict[str, Any]:
+def _common_covariance(fits: Iterable[JointFit]) -> Array | None:
+    """Covariance of the causes' parameters, (q, q), which all groups with error bars share; None without."""
+    common = None
+    for fit in fits:
+        own = fit.values.shape[1] - len(fit.cause_parameters)
+        for matrix in fit.covariance:
+            block, unknown = matrix[own:, own:], np.isnan(matrix[own:]).all()
+            if unknown or not len(block):
+                continue
+            common = block if common is None else common
+            slack = COMMON_TOL * np.sqrt(np.abs(np.outer(np.diag(common), np.diag(common))))
+            if np.isnan(matrix[own:]).any() or np.any(np.abs(block - common) > slack):
+                return None
+    return common
+
+
+def _triangle_to_json(covariance: Array) -> list[list[float]]:
+    """The lower triangle, to ten digits, without what is rounding beside the variances."""
+    sd = np.sqrt(np.abs(np.diag(covariance)))
+    kept = np.where(np.abs(covariance) > ROUNDING_TOL * np.outer(sd, sd), covariance, 0.0)
+    return [[float(f"{value:.10g}") for value in row[: k + 1]] for k, row in enumerate(kept.tolist())]
+
+
+def _joint_to_json(fit: JointFit, common: Array | None) -> dict[str, Any]:
+    own = fit.values.shape[1] - (0 if common is None else len(common))
     return {
         "law": describe(fit.law),
         "sessions": [str(session) for session in fit.groups["session"]],
@@ -483,7 +514,7 @@ def _joint_to_json(fit: JointFit) -> dict[str, Any]:
         "shared": list(fit.shared),
         "values": to_plain(fit.values),
         "known": fit.known.tolist(),
-        "covariance": to_plain(fit.covariance),
+        "covariance": to_plain(fit.covariance[:, :, :own]),
         "interval": to_plain(fit.interval),
         "repeatability": {
             direction: {**asdict(noise), "value": to_plain(noise.value)}

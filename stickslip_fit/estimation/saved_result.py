@@ -22,6 +22,7 @@ from stickslip_fit.causes.parameters import FIRST_TRAVERSE
 from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.estimation.noise import Flag, NoiseLevel
 from stickslip_fit.estimation.result import (
+    COMMON_TOL,
     FORMAT,
     VERSION,
     JointFit,
@@ -38,7 +39,6 @@ STEP_SIZES = 1e-12, 1e-2  # rad or m; beyond, the numbers are in other units
 MAX_LENGTH = 10.0  # m, of a manipulator
 MAX_REPEATABILITY = 10.0
 NEGATIVE_TOL = 1e-6  # of a correlation matrix's eigenvalues, relative to its size
-COMMON_TOL = 1e-6  # relative, and of a standard error: each group has its own rounding
 ADVICE = "fit the log again"
 
 
@@ -145,7 +145,8 @@ def _build_result(content: dict[str, Any], causes: Sequence[Cause], laws: Laws |
     file = _validate(content)
     machine = file.machine
     _check_machine(machine)
-    fits = [_build_joint(item, machine, causes, laws) for item in file.joints]
+    common = _read_triangle(file.cause_covariance)
+    fits = [_build_joint(item, machine, causes, laws, common) for item in file.joints]
     joints = {fit.law.joint: fit for fit in fits}
     require(len(joints) == len(fits) > 0, "a joint stands in it twice, or none does")
     _check_common_values(fits)
@@ -216,6 +217,7 @@ def _validate(content: dict[str, Any]) -> Any:
         remarks: list[Flag]
         provenance: Provenance
         machine: Machine
+        cause_covariance: list[list[float]] = []
         joints: list[JointTable]
         residuals: ResidualTable
 
@@ -242,7 +244,26 @@ def _check_machine(machine: Machine) -> None:
     require(all(0 < link.mass < np.inf and min(link.inertia) >= 0 for link in machine.links), "its links")
 
 
-def _build_joint(item: Any, machine: Machine, causes: Sequence[Cause], laws: Laws | None) -> JointFit:
+def _read_triangle(rows: list[list[float]]) -> Array:
+    """The covariance of the parameters of causes, (q, q), if it stands apart; else (0, 0)."""
+    require([len(row) for row in rows] == list(range(1, len(rows) + 1)), "cause_covariance")
+    covariance = np.zeros((len(rows), len(rows)))
+    for k, row in enumerate(rows):
+        covariance[k, : k + 1] = covariance[: k + 1, k] = row
+    return covariance
+
+
+def _complete_covariance(own: Array, common: Array) -> Array:
+    """Columns of own parameters, shape (g, p, p - q), with those of the causes, (g, p, p)."""
+    by_own = own[:, own.shape[2] :]
+    has_bars = ~np.isnan(by_own).any(axis=(1, 2), keepdims=True)
+    last = np.concatenate([by_own.swapaxes(1, 2), np.where(has_bars, common, np.nan)], axis=1)
+    return np.concatenate([own, last], axis=2)
+
+
+def _build_joint(
+    item: Any, machine: Machine, causes: Sequence[Cause], laws: Laws | None, common: Array
+) -> JointFit:
     law = restore(item.law, machine, causes, laws)
     g, p = len(item.sessions), len(law.parameters)
     name = f"joint {law.joint}"
@@ -254,7 +275,9 @@ def _build_joint(item: Any, machine: Machine, causes: Sequence[Cause], laws: Law
         groups=groups,
         values=_array(item.values, (g, p), f"values of {name}"),
         known=_array(item.known, (g, p), f"known of {name}").astype(bool),
-        covariance=_array(item.covariance, (g, p, p), f"covariance of {name}"),
+        covariance=_complete_covariance(
+            _array(item.covariance, (g, p, p - len(common)), f"covariance of {name}"), common
+        ),
         interval=_array(item.interval, (g, p, 2), f"interval of {name}"),
         repeatability={
             direction: NoiseLevel(np.nan if noise.value is None else noise.value, noise.df, noise.source)
@@ -285,6 +308,9 @@ def _check_common_values(fits: Sequence[JointFit]) -> None:
             for common, key in ((of_campaign, ()), (of_direction, (str(fit.law.joint), str(direction)))):
                 here = _estimates_of(fit, group, [names.index(name) for name in common])
                 other = first.setdefault((*key, *common), here)
+                for lacks, has in ((here, other), (other, here)):
+                    if np.isnan(lacks[:, 2:]).all():  # a group without error bars
+                        lacks[:, 2:] = has[:, 2:]
                 sd = np.nan_to_num(np.sqrt(np.abs(np.diag(other[:, 2:]))))
                 slack = COMMON_TOL * np.column_stack([sd, sd, np.outer(sd, sd)])
                 same = np.isclose(here, other, rtol=COMMON_TOL, atol=slack, equal_nan=True).all()

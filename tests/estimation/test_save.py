@@ -1,9 +1,11 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from stickslip_fit.causes.proposed import SmoothTerm
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_closed_form, fit_least_squares, load_result
 
@@ -37,6 +39,41 @@ def test_the_file_lists_parameters_in_peoples_units(log, tmp_path):
     assert first["low"] < 976 < first["high"]
     slopes = [item for item in listed if item["name"] == "gamma0_per_mm"]
     assert all(item["unit"] == "µrad/mm" and -0.1 < item["estimate"] < 0 for item in slopes)
+
+
+@pytest.fixture(scope="module")
+def smooth(log):
+    """A fit with a smooth function of 40 coefficients."""
+    hours = float(log.usable["session_seconds"].max())
+    orders = tuple((k,) for k in range(1, 41))
+    term = SmoothTerm(("session_seconds",), ((0.0, hours),), orders, (0.01,) * 40)
+    return fit_least_squares(log, causes=[term])
+
+
+def test_what_all_groups_know_of_causes_is_saved_once(log, smooth, tmp_path):
+    smooth.save(tmp_path / "law.json")
+    content = json.loads((tmp_path / "law.json").read_text("utf-8"))
+    saved = sum(np.size(joint["covariance"]) for joint in content["joints"])
+    saved += sum(map(len, content["cause_covariance"]))
+    assert saved < 0.2 * sum(fit.covariance.size for fit in smooth.joints.values())
+    back = load_result(tmp_path / "law.json")
+    for joint, fit in smooth.joints.items():
+        sd = np.sqrt(np.diagonal(fit.covariance, axis1=1, axis2=2))
+        error = (back.joints[joint].covariance - fit.covariance) / sd[:, :, None] / sd[:, None, :]
+        assert np.abs(error).max() < 1e-6
+    pd.testing.assert_frame_equal(back.predict(log.usable), smooth.predict(log.usable), rtol=1e-6)
+
+
+def test_a_law_whose_groups_do_not_all_have_error_bars_comes_back(smooth, tmp_path):
+    """As where one direction has hardly more traverses than parameters."""
+    joint, fit = next(iter(smooth.joints.items()))
+    covariance = fit.covariance.copy()
+    covariance[0] = np.nan
+    fits = smooth.joints | {joint: replace(fit, covariance=covariance)}
+    replace(smooth, joints=fits).save(tmp_path / "law.json")
+    back = load_result(tmp_path / "law.json").joints[joint].covariance
+    assert np.isnan(back[0]).all()
+    assert np.isfinite(back[1:]).all()
 
 
 def test_an_unknown_number_is_null(campaign, tmp_path, read_table):
