@@ -7,6 +7,7 @@ tables in which nothing is wrong. Sizes are multiplied by the factor of their un
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -184,9 +185,9 @@ def _draw_points(
         if len(index) > MAX_POINTS:
             index = np.sort(np.random.default_rng(0).choice(index, MAX_POINTS, replace=False))
         size, alpha = (3.5, 0.6) if len(values) <= FEW_POINTS else (1.8, 0.35)
-        (points,) = axis.plot(
-            values[index], residual[index], ls="", marker="o", ms=size, mew=0, alpha=alpha, color=colour
-        )
+        # Not cut at the edge, where residuals beyond the limits are drawn.
+        dots: dict[str, Any] = {"ls": "", "marker": "o", "ms": size, "mew": 0, "alpha": alpha}
+        (points,) = axis.plot(values[index], residual[index], color=colour, clip_on=False, **dots)
         if numbers is not None:
             name_traverses(points, numbers[index])
 

@@ -231,6 +231,8 @@ def headline_table(
             f" Law: the {baseline_name(extended)}. Of the extended law, what extends it is known from other "
             "sessions (new session) or other configurations (held out)."
         )
+    if kept.isna().any():
+        note += f" {NO_VALUE}: too few replicates within a session for an interval."
     if any(BORROWED_MARK in row[-1] for row in body):
         note += f" {BORROWED_MARK} Residual scatter, for want of replicates."
     caption = "Error on traverses that the calibration did not use"

@@ -149,6 +149,9 @@ def test_before_shows_the_drift_and_after_shows_none(found):
     shape = compute_shape(look, found.selection.problem.linearize())
     label, figure = draw_finding(found.findings[0], look, shape, left, load_machine())
     assert label == "hours in session"
+    points = [line for axis in figure.axes for line in axis.lines if line.get_linestyle() == "None"]
+    assert len(points) > 0
+    assert not any(line.get_clip_on() for line in points)  # those at the edge are whole
     slopes = []
     for axis in figure.axes:
         lines = [line for line in axis.lines if line.get_marker() == "o" and line.get_linestyle() == "-"]

@@ -71,6 +71,16 @@ def test_the_table_has_the_law_and_the_extended_law(made, found, errors):
     ]
 
 
+def test_a_dash_in_place_of_a_share_is_explained(made, errors, monkeypatch):
+    known = headline_table(made.log, made.calibration, made.fit, errors)
+    unknown = pd.Series(np.nan, errors.index)
+    monkeypatch.setattr("stickslip_fit.reporting.headline.check_coverage", lambda *_: unknown)
+    table = headline_table(made.log, made.calibration, made.fit, errors)
+    assert all("–" in row for row in table.rows)
+    assert "–: too few replicates" in table.note
+    assert "too few replicates" not in known.note
+
+
 def test_what_lies_outside_its_interval_is_not_called_explained_without_a_word(made, errors, monkeypatch):
     half = pd.Series(np.arange(len(errors)) % 2, errors.index, dtype=float)
     nothing = pd.DataFrame({"joint": [3], "p_value": [0.4]})
