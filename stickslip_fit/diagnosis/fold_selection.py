@@ -93,7 +93,7 @@ class Looks:
         """Unknown structure, as selected without some rows, with the law that these would propose."""
         test, kept = selected.test, np.setdiff1d(np.arange(len(self.selection.problem)), rows)
         assert selected.tested is not None
-        smooth, memory = rank_forms(test)
+        smooth, memory = rank_forms(test, self.selection.problem.rows)
         likeliest = {int(np.argmax(test.log_evidence)), *smooth[:1], *memory[:1]}
         restricted = self.revised[place].restrict(test, sorted(likeliest), rows)
         unknown = replace(selected, version=None, start=np.zeros(0), misfit=restricted)

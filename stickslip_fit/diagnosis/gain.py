@@ -353,14 +353,22 @@ def hold_out_configurations(selection: Selection) -> list[Split]:
     """
     problem, values = selection.problem, selection.fit.values
     linearized = replace(problem, noise_ratio=np.ones(len(problem))).linearize()
-    changes = [
-        compute_changes(linearized, selected.version, values[None, place])
-        for selected, place in zip(selection.law_causes, selection.slices, strict=True)
-    ]
+    changes = []
+    for selected, place in zip(selection.law_causes, selection.slices, strict=True):
+        change = compute_changes(linearized, selected.version, values[None, place])
+        # Of structure without a name the rows of each joint tell whether it acts on that one, too.
+        changes += _split_by_joint(change, problem.rows) if selected.cause == UNKNOWN else [change]
     effects = linearized.project(linearized.whiten(np.concatenate(changes, axis=1))) if changes else None
     kinds, rng = number_session_configurations(problem.rows), np.random.default_rng(FOLD_SEED)
     needed = _locate_changes(selection, linearized, kinds)
     return make_folds(linearized, kinds, rng, effects, needed=needed)
+
+
+def _split_by_joint(change: Array, rows: pd.DataFrame) -> list[Array]:
+    """What a change of the step size, shape (n, 1), is of each joint that it acts on."""
+    joint = rows["joint"].to_numpy()[:, None]
+    parts = [np.where(joint == number, change, 0.0) for number in np.unique(joint)]
+    return [part for part in parts if part.any()]
 
 
 def _locate_changes(selection: Selection, linearized: LinearizedFit, kinds: IntArray) -> IntArray:

@@ -15,6 +15,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import SMOOTH_SCALE, PeriodicTerm, SmoothTerm
@@ -41,6 +42,7 @@ N_PERIODS = 21  # between the two neighbours of a period that was tried
 MIN_GAIN_SHARE = 0.95  # of the smooth function's gain, with which a short expression is preferred
 N_NULL_LOGS, NULL_LEVEL = 200, 0.01
 EQUAL = 1e-6  # share of the squares, by which rounding may differ
+EVIDENCE_DECIMALS = 6  # of nats, of which the rest is rounding
 
 
 def propose_term(
@@ -56,7 +58,7 @@ def propose_term(
         return list(selected)
     (evidence, shape), (to_beat, ar1) = (
         (misfit.log_evidence[places[0]], misfit.hypotheses[places[0]]) if places else (-np.inf, None)
-        for places in rank_forms(misfit)
+        for places in rank_forms(misfit, linearized.rows)
     )
     if evidence < max(MIN_STAND_IN_LOG_BAYES_FACTOR, to_beat - MEMORY_MARGIN):
         least = max(MIN_STAND_IN_LOG_BAYES_FACTOR, evidence)
@@ -82,12 +84,23 @@ def propose_term(
     return [*others, replace(unknown, version=version, start=start, tested=linearized)]
 
 
-def rank_forms(misfit: Misfit) -> tuple[list[int], list[int]]:
-    """Places of what may follow unknown structure, the likeliest first: smooth functions, autoregressions."""
-    places, shapes = np.argsort(-misfit.log_evidence, kind="stable").tolist(), misfit.hypotheses
+def rank_forms(misfit: Misfit, rows: pd.DataFrame) -> tuple[list[int], list[int]]:
+    """Places of what may follow unknown structure, the likeliest first: smooth functions, autoregressions.
+
+    Of equally likely ones that of fewest joints: what no traverse of a joint shows is not said of it.
+    """
+    shapes = misfit.hypotheses
+    joints = _count_joints([shape.version for shape in shapes], rows)
+    places = np.lexsort((np.array(joints), -np.round(misfit.log_evidence, EVIDENCE_DECIMALS))).tolist()
     memory = [k for k in places if isinstance(shapes[k], AR1)]
     smooth = [k for k in places if shapes[k].version is not None and classify_cause(shapes[k]) == UNKNOWN]
     return smooth, memory
+
+
+def _count_joints(versions: Sequence[Any], rows: pd.DataFrame) -> list[int]:
+    """How many joints each acts on; one that names none acts on all."""
+    number = rows["joint"].nunique() if "joint" in rows else 1
+    return [len({joint for joint, _ in getattr(one, "on", ())}) or number for one in versions]
 
 
 def _periods_about(wave: Any) -> Iterable[Any]:
@@ -197,8 +210,9 @@ def _find_term(
     criterion = squares - FACTOR_COST * dictionary.n_factors
     # Of expressions that are the same in all rows, one of what the likeliest smooth function follows.
     same = [(int(k), int(m)) for k, m in np.argwhere(criterion >= criterion.max() - EQUAL * squares.max())]
-    follow = (one for one in same if {*dictionary.make(*one, 1.0)[0].carriers} == {*carriers})
-    place, best = next(follow, same[0])
+    versions = [dictionary.make(*one, 1.0)[0] for one in same]
+    others = [{*one.carriers} != {*carriers} for one in versions]
+    place, best = min(zip(others, _count_joints(versions, linearized.rows), same, strict=True))[2]
     left = remove_structure(misfit.residual, misfit.hypotheses, misfit.log_evidence, linearized.df).residual
     noise = linearized.project(rng.choice([-1.0, 1.0], (len(left), N_NULL_LOGS)) * left[:, None])
     null = np.max(dictionary.along(noise) ** 2 / dictionary.squares[..., None], axis=(0, 1))
