@@ -358,7 +358,10 @@ def hold_out_configurations(selection: Selection) -> list[Split]:
         change = compute_changes(linearized, selected.version, values[None, place])
         # Of structure without a name the rows of each joint tell whether it acts on that one, too.
         changes += _split_by_joint(change, problem.rows) if selected.cause == UNKNOWN else [change]
-    effects = linearized.project(linearized.whiten(np.concatenate(changes, axis=1))) if changes else None
+    effects = None
+    if changes:
+        effects = linearized.project(linearized.whiten(np.concatenate(changes, axis=1)))
+        effects = effects[:, np.sum(effects**2, axis=0) > 1.0]  # less is not seen in all rows either
     kinds, rng = number_session_configurations(problem.rows), np.random.default_rng(FOLD_SEED)
     needed = _locate_changes(selection, linearized, kinds)
     return make_folds(linearized, kinds, rng, effects, needed=needed)

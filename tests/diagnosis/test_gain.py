@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from scipy.stats import norm
 
 from stickslip_fit.causes import Wear, library
-from stickslip_fit.diagnosis import gain
+from stickslip_fit.diagnosis import diagnose, gain
 from stickslip_fit.diagnosis import selection as selection_module
 from stickslip_fit.diagnosis.alternatives import build_unstructured_alternatives
 from stickslip_fit.diagnosis.cause_set import form_cause_set
@@ -43,11 +43,12 @@ from stickslip_fit.diagnosis.gain_interval import (
     simulate_gain_intervals,
     simulate_selection,
 )
-from stickslip_fit.diagnosis.hypotheses import make_hypothesis
+from stickslip_fit.diagnosis.hypotheses import compute_changes, make_hypothesis
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.selection import Selection, select_causes
 from stickslip_fit.machine import load_machine
+from tests.hidden import outside
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
 
@@ -186,6 +187,26 @@ def test_the_traverses_beside_a_lasting_change_stay_in_training(problem):
     held_out = np.concatenate([split.held_out for split in splits_of(selection)])
     assert len(held_out) > 0.8 * len(rows)
     assert not {last, first} & set(seconds[held_out])
+
+
+def test_structure_without_a_name_stays_known_in_each_joint():
+    """Without what a joint shows of it, whether it acts on that joint, too, would be a guess."""
+    case = next(one for one in outside.cases((25.0,), 461_000) if one.form == "square of psi")
+    selection = diagnose(read_hidden(case.make(0)), gain=False).selection
+    (found,), study = selection.law_causes, selection.problem.linearize()
+    change = compute_changes(study, found.version, selection.fit.values[None])[:, 0] / study.scale
+    whole = study.basis.toarray()
+
+    def squares(kept):
+        """Of each joint, what calibration by some rows leaves of the effect."""
+        left = change[kept] - whole[kept] @ np.linalg.lstsq(whole[kept], change[kept])[0]
+        return np.bincount(study.rows["joint"].to_numpy()[kept], left**2)
+
+    least = np.minimum(5.0**2, squares(np.arange(len(change))) / 2)
+    shown = least > 1.0
+    assert shown.sum() == 2
+    for split in splits_of(selection):
+        assert (squares(split.train)[shown] > 0.9 * least[shown]).all()  # rows count alike in the folds
 
 
 def test_what_is_held_out_has_no_part_in_its_own_prediction(problem):

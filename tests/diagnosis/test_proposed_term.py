@@ -23,6 +23,7 @@ from stickslip_fit.diagnosis.proposed_term import propose_term
 from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
 from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
 from stickslip_fit.laws import Prismatic
+from tests.hidden import outside
 from tests.hidden.catalogue import EFFECTS
 from tests.hidden.effect import Effect, sized
 from tests.hidden.generate import hide
@@ -66,6 +67,15 @@ def linearized(hidden_logs):
 def test_a_term_acts_on_the_joint_that_has_the_effect(hidden_logs):
     (finding,) = diagnose(hidden_logs[0], seed=1, gain=False).findings
     assert (finding.term, finding.joints) == ("k * sin(q1) * load, joint 3", (3,))
+
+
+def test_a_law_says_nothing_of_a_joint_of_which_the_log_shows_nothing():
+    """Of joint 1 only traverses at q3 = 0 are left, where a product with q3 is nothing."""
+    case = next(one for one in outside.cases((25.0,), 461_000) if one.form == "q3 and sin theta, joint 2")
+    log = read_hidden(case.make(0))
+    shows = (log.rows["joint"] == 2) | ((log.rows["joint"] == 1) & (log.rows["q3"] == 0.0))
+    (finding,) = diagnose(log.select(shows), gain=False).findings
+    assert {joint for joint, _ in finding.version.on} == {2}
 
 
 @pytest.fixture(scope="module")
