@@ -132,9 +132,10 @@ def find_beside_unknown(
     of `find_exchange`.
     """
     misfit = unknown.test
-    tests = _test_beside_unknown(misfit, searched.df) if problem.autocorrelation is None else []
-    if not tests:
+    pairs = _test_beside_unknown(misfit, searched.df) if problem.autocorrelation is None else []
+    if not pairs:
         return PairSearch(None)
+    tests = [test for test, _ in pairs]
     causes = [cause for cause in misfit.log_evidence_by_cause if cause != UNKNOWN]
     each = {cause: [one.log_evidence_by_cause.get(cause, -np.inf) for one in tests] for cause in causes}
     together = {cause: float(logsumexp(values)) for cause, values in each.items()}
@@ -144,18 +145,21 @@ def find_beside_unknown(
     )
     best = max(causes, key=together.__getitem__)
     to_beat = together[UNKNOWN] + float(np.log(len(together) / level))
-    behind, left = to_beat - together[best], tests[int(np.argmax(each[best]))]
+    behind, (left, test) = to_beat - together[best], pairs[int(np.argmax(each[best]))]
     if behind > 0 or assess_support(searched, left, best).too_narrow:
         # Beside such structure every effect has some evidence, which other rows hardly turn into enough.
         least = together[UNKNOWN] + PAIR_MIN_LOG_BAYES_FACTOR
         near = [together[cause] for cause in causes if together[cause] > least]
         return PairSearch(None, max(to_beat - max(near, default=-np.inf), 0.0))
     one = make_selected(left, form_cause_set(replace(left, log_evidence_by_cause=together), best))
-    return PairSearch(Combination(one, (UNKNOWN,)), behind)
+    return PairSearch(Combination(replace(one, misfit=test), (UNKNOWN,)), behind)
 
 
-def _test_beside_unknown(misfit: Misfit, df: int) -> list[Misfit]:
+def _test_beside_unknown(misfit: Misfit, df: int) -> list[tuple[Misfit, Misfit]]:
     """Tests under the covariance of likely structures; none without a cause that has a shape.
+
+    Each is followed by itself with the shapes as they are: with those under the covariance beside its own
+    effect, a cause could describe the structure as well.
 
     Evidence by cause is that of the structure and the cause together, and for ``unknown`` that of the
     structure alone, as parts of an average over all structures. Under the covariance that a structure gives
@@ -175,12 +179,14 @@ def _test_beside_unknown(misfit: Misfit, df: int) -> list[Misfit]:
             make_hypothesis(one.cause, one.version, one.values, whiten(own))
             for one, own in zip(known, effects, strict=True)
         ]
+        seen = [own for own, one in zip(known, left, strict=True) if one is not None]
         shown, residual = [one for one in left if one is not None], whiten(misfit.residual)
         evidence = batch_hypotheses(shown, df).log_evidence(residual[:, None])[:, 0]
         names = [one.cause for one in shown]
         together = average_by_cause(names, alone + weigh_hypotheses(shown, names), evidence)
-        test = replace(misfit, residual=residual, hypotheses=tuple(shown), log_evidence=evidence)
-        tests.append(replace(test, log_evidence_by_cause={**together, UNKNOWN: alone}))
+        by_cause = {**together, UNKNOWN: alone}
+        test = replace(misfit, log_evidence=evidence, log_evidence_by_cause=by_cause, hypotheses=tuple(seen))
+        tests.append((replace(test, residual=residual, hypotheses=tuple(shown)), test))
     return tests
 
 
