@@ -17,6 +17,8 @@ from stickslip_fit.diagnosis.finding import Gain
 from stickslip_fit.diagnosis.withdrawal import withdraw_causes
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
+from tests.hidden import outside
+from tests.hidden.reading import read_hidden
 
 MACHINE = """
 name = "rotary stage"
@@ -71,6 +73,26 @@ def make_log(
 def diagnosis(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
     """Of a log with a voltage."""
     return make_log(tmp_path_factory.mktemp("voltage"), seed=3, effect=0.05)
+
+
+def test_the_other_forms_of_a_cause_do_not_describe_the_structure_beside_it(diagnosis: Diagnosis) -> None:
+    """It is found under the structure's covariance, under which its shapes have a part of the structure."""
+    selection = diagnosis.selection
+    voltage = selection.selected[0]
+    before, beside = (
+        [one.directions[:, 0] for one in misfit.hypotheses if one.cause == voltage.cause]
+        for misfit in (selection.first_misfit, voltage.test)
+    )
+    assert len(beside) > 0
+    assert (np.abs(np.stack(beside) @ np.stack(before).T).max(axis=1) > 0.99).all()
+
+
+@pytest.mark.nightly
+def test_a_cause_does_not_hide_the_structure_beside_which_it_was_found() -> None:
+    """Beside load times time squared a load-nonlinearity seemed likelier, and then to be all there is."""
+    case = next(one for one in outside.cases((25.0,), 461_000) if one.form == "load and square of hours")
+    (finding,) = diagnose(read_hidden(case.make(0)), gain=False).findings
+    assert finding.term == "k * load * (session seconds / largest)^2"
 
 
 def test_a_cause_is_named_beside_profiles_four_times_the_noise(diagnosis: Diagnosis) -> None:
