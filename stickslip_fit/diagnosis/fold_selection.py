@@ -20,7 +20,7 @@ from stickslip_fit.diagnosis.combinations import PAIR_LOG_PENALTY
 from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes, make_selected
 from stickslip_fit.diagnosis.leave_out import LeftOut, Look
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause
 from stickslip_fit.diagnosis.proposed_term import propose_term, rank_forms
 from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 
@@ -208,11 +208,13 @@ def prepare_looks(selection: Selection, alpha: float) -> Looks | None:
         one.version is None and one.misfit is not None and form_cause_set(one.misfit).cause != UNKNOWN
         for one in selection.selected
     )
+    # A test beside unknown structure is without the shapes of that.
+    whole = all({*one.log_evidence_by_cause} <= {*map(classify_cause, one.hypotheses)} for one in known)
     independent = selection.problem.autocorrelation is None
     # Of what was found first and is needless at the end, the search may make more without some rows.
     first = next((one.naming or one.misfit for one in selection.law_causes), None)
     dropped = first is not None and first.residual is not selection.first_misfit.residual
-    simple = independent and not (forced or dropped)
+    simple = independent and whole and not (forced or dropped)
     return Looks(selection, alpha) if possible and simple else None
 
 

@@ -14,6 +14,7 @@ import pytest
 
 from stickslip_fit.diagnosis import Diagnosis, diagnose
 from stickslip_fit.diagnosis.finding import Gain
+from stickslip_fit.diagnosis.fold_selection import prepare_looks
 from stickslip_fit.diagnosis.withdrawal import withdraw_causes
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
@@ -85,6 +86,11 @@ def test_the_other_forms_of_a_cause_do_not_describe_the_structure_beside_it(diag
     )
     assert len(beside) > 0
     assert (np.abs(np.stack(beside) @ np.stack(before).T).max(axis=1) > 0.99).all()
+
+
+def test_a_test_beside_structure_is_not_repeated_by_linear_algebra(diagnosis: Diagnosis) -> None:
+    """It has evidence for the structure, but none of its shapes."""
+    assert prepare_looks(diagnosis.selection, 0.01) is None
 
 
 @pytest.mark.nightly
