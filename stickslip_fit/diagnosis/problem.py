@@ -134,6 +134,13 @@ class DiagnosisProblem:
         return np.sqrt((self.repeatability[self.noise_group] * self.noise_ratio) ** 2 + self.rounding)
 
     @property
+    def noise_by_direction(self) -> dict[tuple[int, str], float]:
+        """A log's rms noise beyond the rounding, by joint and direction."""
+        square = pd.Series((self.repeatability[self.noise_group] * self.noise_ratio) ** 2, self.rows.index)
+        mean = square.groupby([self.rows["joint"].astype(int), self.rows["direction"].astype(str)]).mean()
+        return {(int(joint), str(way)): float(np.sqrt(value)) for (joint, way), value in mean.items()}
+
+    @property
     def correlation(self) -> Array:
         """Coefficients of the noise's autoregression, of the nearest value first; empty where it has none."""
         return np.zeros(0) if self.autocorrelation is None else self.autocorrelation.coefficients

@@ -35,6 +35,9 @@ from stickslip_fit.logs.history import DEPARTURES
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
 
 
+MAX_COEFFICIENTS = 0.5  # with a prior, of the traverses, beside which a fit estimates the noise itself
+
+
 def choose_verdict(findings: tuple[Finding, ...]) -> Verdict:
     """The verdict: the first finding decides it."""
     if not findings:
@@ -223,7 +226,9 @@ class Diagnosis(Summarized):
 
         Of causes that the data cannot separate, the likeliest is in the law. Outlying counts or values are
         excluded; unknown structure is in the law as the term or smooth function of its finding, if it has
-        one. Rows are weighted by the noise that was found. `command` is for the result's provenance.
+        one. Rows are weighted by the noise that was found; beside functions with about as many coefficients
+        as rows, which leave no residuals to tell the repeatability, that is the diagnosis's, too. `command` is
+        for the result's provenance.
 
         Returns
         -------
@@ -251,8 +256,14 @@ class Diagnosis(Summarized):
             fitted = replace(log, rows=log.rows.join(departures))
         laws = {part.law.joint: part.law for part in problem.parts}
         ratio = noise[log.rows.index[log.rows["status"] == "ok"]].to_numpy() if noise.nunique() > 1 else None
-        result = fit_least_squares(fitted, laws=laws, causes=causes, noise_ratio=ratio, command=command)
-        return replace(result, provenance=build_provenance(log, command))
+        # Functions with about as many coefficients as traverses leave no residuals to tell the noise.
+        coefficients = sum(np.isfinite(one.prior_sd) for cause in causes for one in cause.parameters)
+        known = problem.noise_by_direction if coefficients > MAX_COEFFICIENTS * len(problem) else None
+        result = fit_least_squares(
+            fitted, laws=laws, causes=causes, repeatability=known, noise_ratio=ratio, command=command
+        )
+        flags = tuple(one for one in result.flags if known is None or one.flag != "repeatability_doubted")
+        return replace(result, provenance=build_provenance(log, command), flags=flags)
 
     def corrected_log(self) -> Log:
         """The log with the fitted effect of what extends the law taken out of its counts.

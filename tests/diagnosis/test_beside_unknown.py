@@ -131,8 +131,13 @@ def test_profiles_alone_are_unknown_and_nothing_else(tmp_path: Path) -> None:
 
 def test_a_law_for_profiles_has_their_details(tmp_path: Path) -> None:
     """Cosines of up to half the 36 stretches have 0.8 of their variance; smooth profiles need fewer."""
-    (unknown,) = make_log(tmp_path, seed=6, effect=0.0, profile=stretches, noise=0.005).findings
+    diagnosis = make_log(tmp_path, seed=6, effect=0.0, profile=stretches, noise=0.005)
+    (unknown,) = diagnosis.findings
     assert len(unknown.version.sds) > 20
+    # With more coefficients than traverses a fit alone would estimate no noise at all.
+    law = diagnosis.extended_law()
+    assert all(0.004 < one.value < 0.05 for one in law.joints[1].repeatability.values())
+    assert "repeatability_doubted" not in [flag.flag for flag in law.flags]
 
 
 @pytest.mark.nightly
