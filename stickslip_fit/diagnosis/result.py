@@ -226,9 +226,9 @@ class Diagnosis(Summarized):
 
         Of causes that the data cannot separate, the likeliest is in the law. Outlying counts or values are
         excluded; unknown structure is in the law as the term or smooth function of its finding, if it has
-        one. Rows are weighted by the noise that was found; beside functions with about as many coefficients
-        as rows, which leave no residuals to tell the repeatability, that is the diagnosis's, too. `command` is
-        for the result's provenance.
+        one. Rows are weighted by the noise that was found. Functions with about as many coefficients as rows
+        leave no residuals to tell the repeatability, which is then that of the diagnosis. `command` is for
+        the result's provenance.
 
         Returns
         -------
