@@ -258,7 +258,7 @@ class Diagnosis(Summarized):
         ratio = noise[log.rows.index[log.rows["status"] == "ok"]].to_numpy() if noise.nunique() > 1 else None
         # Functions with about as many coefficients as traverses leave no residuals to tell the noise.
         coefficients = sum(np.isfinite(one.prior_sd) for cause in causes for one in cause.parameters)
-        known = problem.noise_by_direction if coefficients > MAX_COEFFICIENTS * len(problem) else None
+        known = problem.noise_by_direction if coefficients > MAX_COEFFICIENTS * len(usable) else None
         result = fit_least_squares(
             fitted, laws=laws, causes=causes, repeatability=known, noise_ratio=ratio, command=command
         )
