@@ -205,7 +205,8 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
     rows = log.rows.copy()
     rows.loc[misheard, "steps"] = (rows.loc[misheard, "steps"] * 1.3).astype(int)
     log = replace(log, rows=rows)
-    problem = SimpleNamespace(parts=(), noise_ratio=np.ones(len(log.usable) - len(misheard)))
+    noise = np.ones(len(log.usable) - len(misheard))
+    problem = SimpleNamespace(parts=(), noise_ratio=noise, noise_beside=lambda causes: {})
     search = SimpleNamespace(problem=problem, outliers=np.array(misheard))
     found = SimpleNamespace(
         table=None,

@@ -50,6 +50,7 @@ from stickslip_fit.machine import Machine
 
 MIN_SQUARE = 1e-300
 CLEAR_DISTANCE = 3.0  # standard errors between two laws, by which rows tell one from the other
+MIN_JOINT_STRENGTH = 1.0  # of an effect in a joint, in standard errors; less is not seen in all rows either
 FOLD_SEED = 0  # the same for all logs: folds follow from the design, so that a replicate has the same
 MAX_SERIAL_ROWS = 1000  # above, processes share the splits
 PROGRESS_START, PROGRESS_END = 0.2, 0.95  # shares of a diagnosis's work
@@ -361,7 +362,7 @@ def hold_out_configurations(selection: Selection) -> list[Split]:
     effects = None
     if changes:
         effects = linearized.project(linearized.whiten(np.concatenate(changes, axis=1)))
-        effects = effects[:, np.sum(effects**2, axis=0) > 1.0]  # less is not seen in all rows either
+        effects = effects[:, np.sum(effects**2, axis=0) > MIN_JOINT_STRENGTH**2]
     kinds, rng = number_session_configurations(problem.rows), np.random.default_rng(FOLD_SEED)
     needed = _locate_changes(selection, linearized, kinds)
     return make_folds(linearized, kinds, rng, effects, needed=needed)

@@ -28,7 +28,7 @@ N_DRAWS = 2400
 STRENGTH_RANGE = 4.0  # of the prior on a strength, on either side of the estimate
 RIVAL_LOG_EVIDENCE_SD = 4.0  # nats; spread of a rival's evidence, from the maximum over its other shapes
 EXACT_SHARE = 0.5  # of the draws, in which the law's form is that of the true effect
-MAX_MISFIT = 1.4  # of the others: held-out error over that of the exact form, at most
+MAX_EXCESS = 1.4  # of the others: held-out error over that of the exact form, at most
 ACCEPTED_SHARE = 0.15  # of the draws: those closest to the log
 MAX_ELEMENTS = 2_000_000  # numbers in memory
 MIN_LENGTH, RANK_TOL = 1e-12, 1e-6  # of a direction; of singular values
@@ -284,12 +284,12 @@ class _SimulatedReplicates:
     rms: Array
     lengths: Array
 
-    def gains(self, first: int, last: int, misfit: Array) -> Array:
+    def gains(self, first: int, last: int, excess: Array) -> Array:
         """Gain of the causes from one step to another, shape (t, m).
 
-        `misfit`, shape (m,), is the held-out error with the causes over that of causes of exact form.
+        `excess`, shape (m,), is the held-out error with the causes over that of causes of exact form.
         """
-        return self.rms[..., first] - misfit * self.rms[..., last]
+        return self.rms[..., first] - excess * self.rms[..., last]
 
     def select(self, which: BoolArray) -> _SimulatedReplicates:
         """Some of the replicates."""
@@ -336,21 +336,19 @@ def simulate_gain_intervals(
     first, second = _simulate_replicate_pairs(campaign, prepared, n_draws, rng)
     # What the true effect has beyond the law's form errs in the log and in its replicate alike.
     inexact = rng.random(len(first.lengths)) > EXACT_SHARE
-    misfit = np.where(inexact, rng.uniform(1.0, MAX_MISFIT, len(inexact)), 1.0)
-    n_causes = observed.shape[1] - 1
+    excess = np.where(inexact, rng.uniform(1.0, MAX_EXCESS, len(inexact)), 1.0)
+    n_causes, n_accepted = observed.shape[1] - 1, int(ACCEPTED_SHARE * len(inexact)) + 1
     steps = [(k, k + 1) for k in range(n_causes)] + [(0, n_causes)]
     limits = np.zeros((len(sets), 2, len(steps)))
     for number, (start, end) in enumerate(steps):
         far = np.mean((first.lengths - lengths)[:, start:end] ** 2, axis=1)
-        values = observed[:, start] - observed[:, end]
+        alike, values = np.argsort(far, kind="stable")[:n_accepted], observed[:, start] - observed[:, end]
         for own, value, gain, replicate_gain in zip(
-            limits, values, first.gains(start, end, misfit), second.gains(start, end, misfit), strict=True
+            limits, values, first.gains(start, end, excess), second.gains(start, end, excess), strict=True
         ):
-            number_accepted = int(ACCEPTED_SHARE * len(gain)) + 1
-            alike = np.argsort(far, kind="stable")[:number_accepted]
             spread = max(float(np.std(replicate_gain[alike] - gain[alike])), 1e-12)
             distance = far + ((gain - value) / spread) ** 2
-            accepted = np.argsort(distance, kind="stable")[:number_accepted]
+            accepted = np.argsort(distance, kind="stable")[:n_accepted]
             low, high = np.quantile(replicate_gain[accepted], [0.025, 0.975])
             own[:, number] = min(low, value), max(high, value)  # the log is a replicate, too
     return limits

@@ -42,6 +42,7 @@ from stickslip_fit.laws import Laws, choose_laws
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.log import number_configurations
 
+MAX_COEFFICIENTS = 0.5  # with a prior, of the traverses, beside which a fit tells the noise itself
 MISFIRE = "end-stop-misfire"
 N_REFITS = 3
 RESTART_SHARES = (0.3, 0.1)  # of the start values, for fits that do not converge
@@ -133,12 +134,20 @@ class DiagnosisProblem:
         """Standard deviation of each response, shape (n,)."""
         return np.sqrt((self.repeatability[self.noise_group] * self.noise_ratio) ** 2 + self.rounding)
 
-    @property
-    def noise_by_direction(self) -> dict[tuple[int, str], float]:
-        """A log's rms noise beyond the rounding, by joint and direction."""
-        square = pd.Series((self.repeatability[self.noise_group] * self.noise_ratio) ** 2, self.rows.index)
-        mean = square.groupby([self.rows["joint"].astype(int), self.rows["direction"].astype(str)]).mean()
-        return {(int(joint), str(way)): float(np.sqrt(value)) for (joint, way), value in mean.items()}
+    def noise_beside(self, causes: Sequence[Any]) -> dict[tuple[int, str], float]:
+        """A log's rms noise by joint and direction, of joints in which a fit with the causes cannot tell it.
+
+        Functions with about as many coefficients as a joint has traverses leave no residuals.
+        """
+        square, known = (self.repeatability[self.noise_group] * self.noise_ratio) ** 2, {}
+        directions = self.rows["direction"].to_numpy(dtype=object)
+        for part in self.parts:
+            acting = [one for cause in causes if cause.acts_on(part.law) for one in cause.parameters]
+            if sum(np.isfinite(one.prior_sd) for one in acting) > MAX_COEFFICIENTS * len(part.rows):
+                for way in np.unique(directions[part.rows]):
+                    own = part.rows[directions[part.rows] == way]
+                    known[part.law.joint, str(way)] = float(np.sqrt(np.mean(square[own])))
+        return known
 
     @property
     def correlation(self) -> Array:

@@ -35,9 +35,6 @@ from stickslip_fit.logs.history import DEPARTURES
 Verdict = Literal["nothing wrong", "cause named", "cannot tell apart", "unknown cause"]
 
 
-MAX_COEFFICIENTS = 0.5  # with a prior, of the traverses, beside which a fit estimates the noise itself
-
-
 def choose_verdict(findings: tuple[Finding, ...]) -> Verdict:
     """The verdict: the first finding decides it."""
     if not findings:
@@ -256,13 +253,11 @@ class Diagnosis(Summarized):
             fitted = replace(log, rows=log.rows.join(departures))
         laws = {part.law.joint: part.law for part in problem.parts}
         ratio = noise[log.rows.index[log.rows["status"] == "ok"]].to_numpy() if noise.nunique() > 1 else None
-        # Functions with about as many coefficients as traverses leave no residuals to tell the noise.
-        coefficients = sum(np.isfinite(one.prior_sd) for cause in causes for one in cause.parameters)
-        known = problem.noise_by_direction if coefficients > MAX_COEFFICIENTS * len(usable) else None
+        known = problem.noise_beside(causes)
         result = fit_least_squares(
             fitted, laws=laws, causes=causes, repeatability=known, noise_ratio=ratio, command=command
         )
-        flags = tuple(one for one in result.flags if known is None or one.flag != "repeatability_doubted")
+        flags = tuple(one for one in result.flags if not known or one.flag != "repeatability_doubted")
         return replace(result, provenance=build_provenance(log, command), flags=flags)
 
     def corrected_log(self) -> Log:
