@@ -1,6 +1,6 @@
 """Smooth functions in the law: their fit is that of a Gaussian process, and so is their evidence."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -134,3 +134,16 @@ def test_changes_need_no_derivatives_by_causes_that_are_in_the_law_already(log_p
 
     monkeypatch.setattr(SmoothTerm, "factor_slopes", refuse)
     np.testing.assert_array_equal(cause.changes(law, rows, values, np.eye(len(SD))), expected)
+
+
+def test_noise_is_taken_from_the_diagnosis_only_in_a_joint_with_more_coefficients_than_traverses(log_problem):
+    problem = replace(log_problem, noise_ratio=np.full(len(log_problem), 2.0))
+    fine = SmoothTerm(("q3",), ((0.0, 0.012),), tuple((k,) for k in range(1, 201)), (0.01,) * 200)
+    number = {part.law.joint: len(part.rows) for part in problem.parts}
+    assert max(number.values()) < 400
+    of_one = problem.noise_beside([replace(fine, on=((3, "+"), (3, "-")))])
+    assert set(of_one) == {(3, "+"), (3, "-")}
+    group = problem.noise_group[(problem.rows["joint"] == 3) & (problem.rows["direction"] == "-")]
+    assert of_one[3, "-"] == pytest.approx(2.0 * problem.repeatability[group[0]])
+    assert {joint for joint, _ in problem.noise_beside([fine])} == set(number)
+    assert problem.noise_beside([replace(fine, orders=((1,),), sds=(0.01,))]) == {}
