@@ -20,6 +20,7 @@ from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.cross_validation import Split
 from stickslip_fit.diagnosis.evidence import log_likelihood_ratio
+from stickslip_fit.units import Z_95
 
 Recolouring = Callable[[Array], Array]
 """From whitened columns, shape (n, m), to those in units of the noise of each row, correlated again."""
@@ -350,7 +351,9 @@ def simulate_gain_intervals(
             distance = far + ((gain - value) / spread) ** 2
             accepted = np.argsort(distance, kind="stable")[:n_accepted]
             low, high = np.quantile(replicate_gain[accepted], [0.025, 0.975])
-            own[:, number] = min(low, value), max(high, value)  # the log is a replicate, too
+            if not low <= value <= high:  # the log is a replicate, too, which others are about
+                low, high = min(low, value - Z_95 * spread), max(high, value + Z_95 * spread)
+            own[:, number] = low, high
     return limits
 
 

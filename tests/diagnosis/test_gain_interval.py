@@ -185,3 +185,16 @@ def test_the_interval_holds_where_the_law_has_not_the_form_of_the_effect():
     effects = np.full((n, 1), 12.0 / np.sqrt(n))
     replicates = errors_of_replicates(effects, effects[:, 0], splits) * np.array([[1.0], [1.25]])
     assert share_covered(effects, replicates.mean(axis=1), replicates, splits) > 0.9
+
+
+def test_the_gain_of_the_log_is_no_end_of_its_interval_where_none_simulated_is_as_large():
+    """Replicates gain about what it did, some more; a fold's bad calibration that no draw has helped it."""
+    n, splits = 400, folds_of(400)
+    effects = np.full((n, 1), 12.0 / np.sqrt(n))
+    replicates = errors_of_replicates(effects, effects[:, 0], splits)
+    gains = replicates[0] - replicates[1]
+    observed = replicates.mean(axis=1) + np.array([10.0 * gains.std(), 0.0])
+    low, high = simulate_gain_intervals(uncontested(effects), [splits], observed[None], _rng())[0, :, -1]
+    value = observed[0] - observed[1]
+    assert low < value - 1.5 * gains.std()
+    assert high > value + 1.5 * gains.std()
