@@ -19,7 +19,7 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.parameters import CauseParameter
-from stickslip_fit.causes.smooth import LinearFactor, cosines, harmonics, wave_products
+from stickslip_fit.causes.smooth import LinearFactor, LogLinearFactor, cosines, harmonics, wave_products
 from stickslip_fit.laws import State, StepLaw
 from stickslip_fit.units import from_si
 
@@ -56,8 +56,8 @@ def carrier_columns(carrier: str) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class SmoothTerm(LinearFactor):
-    """gamma times 1 + a smooth function of the carriers.
+class SmoothTerm(LogLinearFactor):
+    """gamma times exp of a smooth function of the carriers.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class SmoothTerm(LinearFactor):
     sessions: tuple[str, ...] = ()
     common: float = 0.0
 
-    name = "smooth-term"
+    name = "smooth-factor"
     phrase = "steps follow something smoothly that no cause describes"
     physics = "Whatever the carrier stands for: the log alone shows that the step size follows it smoothly."
     shows_best = "one configuration at the lowest and at the highest values of the carrier"
@@ -188,7 +188,7 @@ class SmoothTerm(LinearFactor):
 
 @dataclass(frozen=True)
 class JointTerm(SmoothTerm):
-    """gamma times 1 + a smooth function for each joint.
+    """gamma times exp of a smooth function for each joint.
 
     Attributes
     ----------
@@ -196,7 +196,7 @@ class JointTerm(SmoothTerm):
         As of a `SmoothTerm`; functions are shared by the directions of a joint, or by none if `each`.
     """
 
-    name = "smooth-joint-term"
+    name = "smooth-joint-factor"
     phrase = "steps of each joint follow something smoothly that no cause describes"
 
     @classmethod
@@ -217,7 +217,7 @@ class JointTerm(SmoothTerm):
 
 @dataclass(frozen=True)
 class TravelTerm(JointTerm):
-    """gamma times 1 + a smooth function of the position along each joint's own travel.
+    """gamma times exp of a smooth function of the position along each joint's own travel.
 
     Attributes
     ----------
@@ -227,7 +227,7 @@ class TravelTerm(JointTerm):
 
     travel: tuple[tuple[int, float, float], ...] = ()
 
-    name = "smooth-travel-term"
+    name = "smooth-travel-factor"
     phrase = "steps follow the position along each joint's travel smoothly as no cause describes"
 
     def limits_of(self, joint: int) -> tuple[tuple[float, float], ...]:
@@ -236,8 +236,92 @@ class TravelTerm(JointTerm):
 
 
 @dataclass(frozen=True)
+class SmoothProduct(LogLinearFactor):
+    """gamma times several terms of the same carriers.
+
+    Attributes
+    ----------
+    parts : tuple of SmoothTerm
+    """
+
+    parts: tuple[SmoothTerm, ...]
+
+    name = "smooth-product"
+    phrase = SmoothTerm.phrase
+    physics = SmoothTerm.physics
+    shows_best = SmoothTerm.shows_best
+
+    @property
+    def carriers(self) -> tuple[str, ...]:
+        """Of all parts."""
+        return self.parts[0].carriers
+
+    @property
+    def on(self) -> tuple[tuple[int, str], ...]:
+        """Joints and directions on which it acts; all if empty."""
+        return tuple(dict.fromkeys(place for part in self.parts for place in part.on))
+
+    @property
+    def sessions(self) -> tuple[str, ...]:
+        """Sessions with functions of their own."""
+        return tuple(dict.fromkeys(session for part in self.parts for session in part.sessions))
+
+    @property
+    def each(self) -> bool:
+        """Whether directions differ."""
+        return any(part.mode == "opposite" for part in self.parts)
+
+    @property
+    def common(self) -> float:
+        """Share of the prior variance that is in functions which all sessions have in common."""
+        sizes = {bool(part.sessions): 0.0 for part in self.parts}
+        for part in self.parts:
+            sizes[bool(part.sessions)] += float(np.sum(np.square(part.sds)))
+        return sizes.get(False, 0.0) / sum(sizes.values())
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return tuple(dict.fromkeys(name for part in self.parts for name in part.columns))
+
+    @property
+    def varies_along_traverse(self) -> bool:  # type: ignore[override]
+        """See `Cause`."""
+        return self.parts[0].varies_along_traverse
+
+    @cached_property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`; numbered through all parts."""
+        parameters, first = [], 0
+        for part in self.parts:
+            for one in part.parameters:
+                number = first + int(one.name.removeprefix("c"))
+                meaning = one.meaning.replace(f"coefficient {one.name[1:]} ", f"coefficient {number} ")
+                parameters.append(replace(one, name=f"c{number}", meaning=meaning))
+            first += len(part.sds)
+        return tuple(parameters)
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (SMOOTH_SCALE,) * len(self.parameters)
+
+    def acts_on(self, law: StepLaw) -> bool:
+        """See `Cause.acts_on`."""
+        return any(part.acts_on(law) for part in self.parts)
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        """See `Cause.trials`."""
+        return [(self, np.diag([parameter.prior_sd for parameter in self.parameters]))]
+
+    def functions(self, state: State) -> Array:
+        """See `LinearFactor.functions`."""
+        return np.concatenate([part.functions(state) for part in self.parts], axis=-1)
+
+
+@dataclass(frozen=True)
 class PeriodicTerm(SmoothTerm):
-    """gamma times 1 + a wave in time or in the number of traverses.
+    """gamma times exp of a wave in time or in the number of traverses.
 
     Attributes
     ----------
@@ -249,7 +333,7 @@ class PeriodicTerm(SmoothTerm):
     sds: tuple[float, ...] = (SMOOTH_SCALE, SMOOTH_SCALE)
     period: float = 1.0
 
-    name = "periodic-term"
+    name = "periodic-factor"
     phrase = "steps come and go with a period that no cause describes"
     physics = "Whatever has this period: the log alone shows that the step size follows it."
     shows_best = "one configuration again and again, at most a quarter of the period apart"

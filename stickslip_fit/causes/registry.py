@@ -22,6 +22,7 @@ from stickslip_fit.causes.proposed import (
     JointTerm,
     PeriodicTerm,
     ProposedTerm,
+    SmoothProduct,
     SmoothTerm,
     TravelTerm,
 )
@@ -41,6 +42,8 @@ ENTRY_POINT = "stickslip_fit.causes"
 PROPOSED: dict[str, Callable[..., Cause]] = {
     kind.name: kind for kind in (SmoothTerm, JointTerm, TravelTerm, PeriodicTerm, ProposedTerm, CarryOverTerm)
 }
+# Names of proposed functions in files of earlier versions, where they were a sum, not an exponential.
+FORMER = ("smooth-term", "smooth-joint-term", "smooth-travel-term", "periodic-term")
 
 
 def library() -> tuple[Cause, ...]:
@@ -129,6 +132,8 @@ def restore(
 
 
 def _describe_cause(cause: Cause) -> dict[str, Any]:
+    if isinstance(cause, SmoothProduct):
+        return {"name": cause.name, "parts": [_describe_cause(part) for part in cause.parts]}
     if not isinstance(cause, FormulaStepCause):
         return {"name": cause.name} | {field.name: getattr(cause, field.name) for field in fields(cause)}  # type: ignore[arg-type]
     bound = {field.name: getattr(cause, field.name) for field in fields(cause)}
@@ -162,6 +167,13 @@ def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -
     name, bound = description["name"], {key: _to_tuples(value) for key, value in description.items()}
     if name.startswith(COVARIATE_PREFIX):
         return Covariate(**{key: value for key, value in bound.items() if key != "name"})
+    if name == SmoothProduct.name:
+        return SmoothProduct(tuple(_restore_cause(part, known) for part in description["parts"]))  # type: ignore[misc]
+    if name in FORMER:
+        raise InputError(
+            f"the saved law has a {name!r} of an earlier version, where it meant something else; "
+            "diagnose the log again"
+        )
     if name in PROPOSED:
         return PROPOSED[name](**{key: value for key, value in bound.items() if key != "name"})
     if name not in known:

@@ -140,3 +140,18 @@ class LinearFactor(FactorCause):
             counts, own = part.counts_and_slopes(first[subset], extended.gamma_slopes_by_last)
             slopes.append(own / (counts + extended.steps_added(part.start_state, first[subset]))[:, None])
         return np.asarray(np.concatenate(slopes) @ trials.T)
+
+
+class LogLinearFactor(LinearFactor):
+    """gamma times exp of the sum of each parameter times a function: a step size that stays positive.
+
+    Of a motor whose steps differ by half from place to place a sum has other errors where steps are small.
+    """
+
+    def factor(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor`."""
+        return np.exp(super().factor(state, values) - 1.0)
+
+    def factor_slopes(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor_slopes`."""
+        return self._functions_in(state) * self.factor(state, values)[..., None]

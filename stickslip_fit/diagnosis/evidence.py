@@ -24,6 +24,7 @@ from stickslip_fit.diagnosis.hypotheses import Hypothesis
 from stickslip_fit.diagnosis.memory import AR1, log_memory_evidence
 
 STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])  # tau: hyperprior on the norm of an effect, whitened
+WIDE_STRENGTHS = np.geomspace(4.0, 40_000.0, 25)  # of a law's function
 MAX_EXPLAINED = 1.0 - 1e-12  # share of the squared residuals
 AT_ONCE = 100  # directions whose rows are put in another order
 
@@ -37,6 +38,39 @@ def strength_evidence(signal: Array, along: Array, residual: Array, df: int) -> 
     total = max(float(residual @ residual), np.finfo(float).tiny)
     explained = (signal / (1.0 + signal)) @ along**2 / total
     return log_likelihood_ratio(explained, df) - 0.5 * np.log1p(signal).sum(axis=1)
+
+
+@dataclass(frozen=True)
+class LikeliestStrength:
+    """The strength of an effect under which residuals are likeliest.
+
+    Attributes
+    ----------
+    evidence : float
+        Log likelihood ratio to noise alone.
+    strength : float
+        Norm of the effect in units of the noise.
+    noise : float
+        Variance of the noise beside it, which a fine function may leave far below 1.
+    """
+
+    evidence: float
+    strength: float
+    noise: float
+
+
+def find_strength(along: Array, share: Array, residual: Array, df: int) -> LikeliestStrength:
+    """The likeliest of `WIDE_STRENGTHS` of an effect, the size of the noise estimated with it.
+
+    `along` are the coefficients of a whitened residual, shape (n,), along the effect's directions, whose
+    prior shares are given, both of shape (m,).
+    """
+    signal = WIDE_STRENGTHS[:, None] ** 2 * share
+    evidence = strength_evidence(signal, along, residual, df)
+    best = int(np.argmax(evidence))
+    explained = (signal[best] / (1.0 + signal[best])) @ along**2
+    noise = max(float(residual @ residual - explained), 0.0) / df
+    return LikeliestStrength(float(evidence[best]), float(WIDE_STRENGTHS[best]), noise)
 
 
 def log_likelihood_ratio(explained: npt.ArrayLike, df: int) -> Array:

@@ -2,7 +2,8 @@
 
 `propose_term` searches a dictionary of short expressions (`expressions`). The best is proposed where it would
 gain nearly as much on a replicate as the best smooth function, and explains more than the best expression of
-noise alone does; otherwise the smooth function takes its place. Where memory is likelier than any function,
+noise alone does; otherwise the smooth function takes its place, of sessions the average over its forms
+(`averaged_forms`). Where memory is likelier than any function,
 what carries over from the traverse before is proposed. It is part of `select_causes`, so that each fold
 searches anew.
 """
@@ -21,7 +22,8 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import SMOOTH_SCALE, PeriodicTerm, SmoothTerm
 from stickslip_fit.causes.smooth import N_HARMONICS, prior_sds
 from stickslip_fit.causes.table_terms import PeriodicTableTerm
-from stickslip_fit.diagnosis.evidence import strength_evidence
+from stickslip_fit.diagnosis.averaged_forms import average_forms
+from stickslip_fit.diagnosis.evidence import LikeliestStrength, find_strength
 from stickslip_fit.diagnosis.expressions import Dictionary
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_effects, make_hypothesis
@@ -30,12 +32,10 @@ from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause, remove_structure
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
-COMMON_IN_LAW = 0.5  # share of a function of sessions that is the same in all, in the law
 MEMORY_MARGIN = 3.0  # nats by which an autoregression is likelier, whose noise looks like many a function
 FACTOR_COST = 2.0  # of the squared residuals that a second factor has to explain
 FINE_LENGTHS = (0.05, 0.03)  # of functions of one carrier, of the range of their cosines
 CLEARLY_LIKELIER = 5.0  # nats, by which another function is likelier than the usual one
-WIDE_STRENGTHS = np.geomspace(4.0, 40_000.0, 25)  # of a law's function
 SURFACE_LENGTHS = (1.0, 0.6, 0.4)  # of functions of two carriers, of their ranges
 NUMBERS_OF_HARMONICS = (1, 2, 4, 8)  # of a wave: the likeliest, from a pure one to one with a jump
 N_PERIODS = 21  # between the two neighbours of a period that was tried
@@ -76,12 +76,19 @@ def propose_term(
         shape = _likeliest(versions, shape, linearized, misfit.residual)
     elif isinstance(shape.version, SmoothTerm) and len(shape.version.carriers) == 2:
         shape = _likeliest(_as_surfaces(shape.version), shape, linearized, misfit.residual)
+    elif isinstance(shape.version, SmoothTerm) and shape.version.sessions:
+        version: Any = average_forms(shape.version, linearized, misfit.residual)
+        return [*others, _without_start(unknown, version, linearized)]
     elif isinstance(shape.version, SmoothTerm):
-        shape = _likeliest_function(shape, linearized, misfit.residual)
-    strength = _fit_strength(shape, misfit.residual, linearized.df)[1]
-    version = shape.version.with_amplitude(strength / shape.length)
-    start = np.array(version.null_values)
-    return [*others, replace(unknown, version=version, start=start, tested=linearized)]
+        shape = _likeliest_length(shape, linearized, misfit.residual)
+    size = _fit_strength(shape, misfit.residual, linearized.df)
+    version = shape.version.with_amplitude(size.strength * np.sqrt(size.noise) / shape.length)
+    return [*others, _without_start(unknown, version, linearized)]
+
+
+def _without_start(unknown: SelectedCause, version: Any, linearized: LinearizedFit) -> SelectedCause:
+    """Unknown structure with a law, whose fit starts where that has no effect."""
+    return replace(unknown, version=version, start=np.array(version.null_values), tested=linearized)
 
 
 def rank_forms(misfit: Misfit, rows: pd.DataFrame) -> tuple[list[int], list[int]]:
@@ -124,20 +131,11 @@ def _as_surfaces(term: SmoothTerm) -> Iterable[SmoothTerm]:
         yield replace(term, orders=orders, sds=tuple(size))
 
 
-def _likeliest_function(shape: Hypothesis, linearized: LinearizedFit, residual: Array) -> Hypothesis:
-    """A function of one carrier with the details, and as much in common over sessions, as is likeliest.
-
-    Where a session has no traverse of its own nearby, the others say more than nothing, so that half is in
-    common unless the residuals, shape (n,), clearly say otherwise.
-    """
-    term = shape.version
-    usual = replace(term, common=term.common or COMMON_IN_LAW) if term.sessions else term
-    shape = _likeliest([usual], shape, linearized, residual)
-    versions = (one for form in dict.fromkeys((usual, term)) for one in (form, *_with_details(form)))
-    others = [one for one in versions if one != usual]
-    best = _likeliest(others, shape, linearized, residual)
-    evidence, usual_evidence = (_fit_strength(one, residual, linearized.df)[0] for one in (best, shape))
-    return best if evidence > usual_evidence + CLEARLY_LIKELIER else shape
+def _likeliest_length(shape: Hypothesis, linearized: LinearizedFit, residual: Array) -> Hypothesis:
+    """A function of one carrier with details, where residuals, shape (n,), clearly say that it has any."""
+    best = _likeliest(_with_details(shape.version), shape, linearized, residual)
+    evidence, usual = (_fit_strength(one, residual, linearized.df).evidence for one in (best, shape))
+    return best if evidence > usual + CLEARLY_LIKELIER else shape
 
 
 def _with_details(term: SmoothTerm) -> Iterable[SmoothTerm]:
@@ -158,21 +156,11 @@ def _likeliest(
         shapes += [one for one in [make_hypothesis(shape.cause, version, None, effects)] if one is not None]
     if not shapes:
         return shape
-    return max(shapes, key=lambda one: _fit_strength(one, residual, linearized.df)[0])
+    return max(shapes, key=lambda one: _fit_strength(one, residual, linearized.df).evidence)
 
 
-def _fit_strength(shape: Hypothesis, residual: Array, df: int) -> tuple[float, float]:
-    """The largest log likelihood ratio of a shape over its strengths, and the strength there.
-
-    The size of the noise is estimated with it: beside a fine function it may be far less than the unit of
-    the whitened residuals.
-    """
-    along, signal = shape.coefficients(residual), WIDE_STRENGTHS[:, None] ** 2 * shape.prior_share
-    evidence = strength_evidence(signal, along, residual, df)
-    best = int(np.argmax(evidence))
-    explained = (signal[best] / (1.0 + signal[best])) @ along**2
-    noise = np.sqrt(max(float(residual @ residual - explained), 0.0) / df)
-    return float(evidence[best]), float(WIDE_STRENGTHS[best] * noise)
+def _fit_strength(shape: Hypothesis, residual: Array, df: int) -> LikeliestStrength:
+    return find_strength(shape.coefficients(residual), shape.prior_share, residual, df)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,143 @@
+"""A smooth function whose prior is the average over its forms.
+
+A form has a correlation length, and shares of its variance that are of opposite sign in the two directions
+and each session's own. The likeliest form alone predicts worse than the average: few traverses rarely tell
+forms apart, and what one leaves out is left out of every prediction (J. A. Hoeting et al., Stat. Sci. 14:382,
+1999). The average of their covariances is one covariance, so that the law has one function. Evidence counts
+at a learning rate below one, as the noise is no exact model (P. Grunwald and T. van Ommen, Bayesian Anal.
+12:1069, 2017).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.proposed import Mode, SmoothProduct, SmoothTerm
+from stickslip_fit.causes.smooth import MIN_PRIOR_SD, prior_sds
+from stickslip_fit.diagnosis.evidence import find_strength
+from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, VARIANCE_TOL, compute_effects
+from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.smooth_alternatives import LENGTHS as CARRIER_LENGTHS
+
+LENGTHS = (0.19, 0.077, 0.038, 0.023)  # of the range of the cosines, which is wider than a travel
+SHARES = (0.0, 0.2, 0.5, 0.8, 1.0)
+LEARNING_RATE = 1.0 / 6.0
+MIN_WEIGHT = 0.01  # of a form over that of the likeliest, below which its neighbours are not tried
+MIN_PART = 0.01  # of the average's variance, below which a part is left out
+
+Form = tuple[int, int, int]
+"""Places of its length, of its share that is opposite in directions, and of its share of sessions."""
+
+
+def average_forms(term: SmoothTerm, linearized: LinearizedFit, residual: Array) -> SmoothProduct:
+    """The average over the forms of a function of one carrier that differs between sessions.
+
+    Whitened residuals, shape (n,), weigh them and tell the size of the prior.
+    """
+    priors = [prior_sds(length) for length in LENGTHS]
+    if len(term.orders) < len(prior_sds(max(CARRIER_LENGTHS))):  # the carrier has few values
+        priors = [priors[0][: len(term.orders)]]
+    finest = np.ones(max(map(len, priors)))
+    whole = _with_sds(replace(term, mode="same", each=False, sessions=(), common=0.0), finest)
+    modes: tuple[Mode, ...] = ("same", "opposite") if np.ptp(linearized.direction_sign) else ("same",)
+    parts = [
+        replace(whole, mode=mode, sessions=sessions) for sessions, mode in product(((), term.sessions), modes)
+    ]
+    effects = [compute_effects(linearized, part, np.eye(len(part.parameters))) for part in parts]
+    variances = _Forms(effects, priors, residual, linearized.df).average()
+    least = MIN_PART * variances.sum()
+    kept = [
+        _with_sds(part, np.sqrt(own)) for part, own in zip(parts, variances, strict=True) if own.sum() > least
+    ]
+    return SmoothProduct(tuple(kept))
+
+
+def _with_sds(term: SmoothTerm, sds: Array) -> SmoothTerm:
+    """A function with these standard deviations of its coefficients but for the least ones."""
+    sds = sds[: 1 + int(np.max(np.flatnonzero(sds >= MIN_PRIOR_SD * sds.max())))]
+    orders = tuple((k,) for k in range(1, len(sds) + 1))
+    return replace(term, orders=orders, sds=tuple(map(float, sds)))
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """The log evidence of a form at its likeliest size, and the variance of its function there."""
+
+    evidence: float
+    variance: float
+
+
+class _Forms:
+    """The forms that a function may have, weighed by whitened residuals, shape (n,).
+
+    `effects` are those of unit coefficients of the functions that all sessions share, the same and, where
+    there are both directions, opposite in them, then of those of each session; each shape (n, groups m).
+    `priors` are standard deviations of the coefficients for each length, shape (m,) or shorter.
+    """
+
+    def __init__(self, effects: Sequence[Array], priors: Sequence[Array], residual: Array, df: int) -> None:
+        acts = np.any([np.any(np.abs(one) > EFFECT_TOL, axis=1) for one in effects], axis=0)
+        self.priors, self.n_parts, m = priors, len(effects), max(map(len, priors))
+        self.covariances = [[_covariance(one[acts], prior, m) for one in effects] for prior in priors]
+        self.residual, self.along, self.df = residual, residual[acts], df
+        self.opposite = SHARES if len(effects) == 4 else SHARES[:1]
+
+    def average(self) -> Array:
+        """The mean variance of each coefficient of each part, shape (parts, m)."""
+        weighed = self.explore()
+        likeliest = max(one.evidence for one in weighed.values())
+        variances, total = np.zeros((self.n_parts, max(map(len, self.priors)))), 0.0
+        for form, one in weighed.items():
+            weight, prior = np.exp(LEARNING_RATE * (one.evidence - likeliest)), self.priors[form[0]]
+            total += weight
+            variances[:, : len(prior)] += weight * one.variance * np.outer(self.shares(form), prior**2)
+        return variances / total
+
+    def explore(self) -> dict[Form, _Weighed]:
+        """Every second form, and the neighbours of those that are not far less likely than the likeliest."""
+        weighed: dict[Form, _Weighed] = {}
+        coarse = product(range(len(self.priors)), range(0, len(self.opposite), 2), range(0, len(SHARES), 2))
+        new: list[Form] = list(coarse)
+        while new:
+            for form in new:
+                weighed[form] = self.weigh(form)
+            least = max(one.evidence for one in weighed.values()) + np.log(MIN_WEIGHT) / LEARNING_RATE
+            likely = [form for form, one in weighed.items() if one.evidence >= least]
+            new = sorted({near for form in likely for near in self.neighbours(form)} - weighed.keys())
+        return weighed
+
+    def neighbours(self, form: Form) -> Iterable[Form]:
+        """Forms whose shares are the next larger or smaller ones."""
+        length, opposite, own = form
+        for one in (opposite - 1, opposite, opposite + 1):
+            for other in (own - 1, own, own + 1):
+                if 0 <= one < len(self.opposite) and 0 <= other < len(SHARES):
+                    yield length, one, other
+
+    def shares(self, form: Form) -> Array:
+        """Of the variance of a form, in each part."""
+        opposite, own = self.opposite[form[1]], SHARES[form[2]]
+        ways = [1.0 - opposite, opposite][: self.n_parts // 2]
+        return np.array([share * way for share in (1.0 - own, own) for way in ways])
+
+    def weigh(self, form: Form) -> _Weighed:
+        """The size of a form under which the residuals are likeliest."""
+        parts = zip(self.shares(form), self.covariances[form[0]], strict=True)
+        covariance = np.sum([share * part for share, part in parts], axis=0)
+        variance, directions = np.linalg.eigh(covariance)
+        total = float(variance.sum())
+        kept = variance > VARIANCE_TOL * total
+        along = directions[:, kept].T @ self.along
+        size = find_strength(along, variance[kept] / total, self.residual, self.df)
+        return _Weighed(size.evidence, size.strength**2 * size.noise / total)
+
+
+def _covariance(effects: Array, prior: Array, m: int) -> Array:
+    """Of effects, shape (n, groups m), whose coefficients have these standard deviations, (m,) or fewer."""
+    scaled = (effects.reshape(len(effects), -1, m)[..., : len(prior)] * prior).reshape(len(effects), -1)
+    return np.asarray(scaled @ scaled.T)
