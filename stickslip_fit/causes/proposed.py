@@ -91,7 +91,7 @@ class SmoothTerm(LogLinearFactor):
     sessions: tuple[str, ...] = ()
     common: float = 0.0
 
-    name = "smooth-factor"
+    name = "smooth-function"
     phrase = "steps follow something smoothly that no cause describes"
     physics = "Whatever the carrier stands for: the log alone shows that the step size follows it smoothly."
     shows_best = "one configuration at the lowest and at the highest values of the carrier"
@@ -196,7 +196,7 @@ class JointTerm(SmoothTerm):
         As of a `SmoothTerm`; functions are shared by the directions of a joint, or by none if `each`.
     """
 
-    name = "smooth-joint-factor"
+    name = "smooth-joint-function"
     phrase = "steps of each joint follow something smoothly that no cause describes"
 
     @classmethod
@@ -227,7 +227,7 @@ class TravelTerm(JointTerm):
 
     travel: tuple[tuple[int, float, float], ...] = ()
 
-    name = "smooth-travel-factor"
+    name = "smooth-travel-function"
     phrase = "steps follow the position along each joint's travel smoothly as no cause describes"
 
     def limits_of(self, joint: int) -> tuple[tuple[float, float], ...]:
@@ -246,7 +246,7 @@ class SmoothProduct(LogLinearFactor):
 
     parts: tuple[SmoothTerm, ...]
 
-    name = "smooth-product"
+    name = "smooth-functions"
     phrase = SmoothTerm.phrase
     physics = SmoothTerm.physics
     shows_best = SmoothTerm.shows_best
@@ -333,7 +333,7 @@ class PeriodicTerm(SmoothTerm):
     sds: tuple[float, ...] = (SMOOTH_SCALE, SMOOTH_SCALE)
     period: float = 1.0
 
-    name = "periodic-factor"
+    name = "periodic-function"
     phrase = "steps come and go with a period that no cause describes"
     physics = "Whatever has this period: the log alone shows that the step size follows it."
     shows_best = "one configuration again and again, at most a quarter of the period apart"

@@ -7,7 +7,7 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit.causes import Temperature, extend
-from stickslip_fit.causes.proposed import JointTerm, ProposedTerm, SmoothTerm, TravelTerm
+from stickslip_fit.causes.proposed import JointTerm, ProposedTerm, SmoothProduct, SmoothTerm, TravelTerm
 from stickslip_fit.causes.registry import describe, restore
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes, build_unstructured_alternatives
@@ -22,6 +22,7 @@ from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.proposed_term import propose_term
 from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
 from stickslip_fit.diagnosis.withdrawal import find_unsupported, withdraw_causes
+from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Prismatic
 from tests.hidden import outside
 from tests.hidden.catalogue import EFFECTS
@@ -133,9 +134,17 @@ def test_a_law_with_terms_is_saved_and_restored(hidden_logs):
         ("session_seconds",), ((0.0, 9e3),), on=((2, "+"), (3, "+"), (3, "-")), sessions=("a", "b")
     )
     assert len(waves.parameters) == 4  # of two joints in two sessions
-    law = extend(extend(law, travel), waves)
+    parts = SmoothProduct((travel, replace(travel, mode="opposite", sessions=())))
+    law = extend(extend(extend(law, travel), waves), parts)
     restored = restore(describe(law), machine)
     assert restored.causes == law.causes
+
+
+def test_a_function_of_an_earlier_version_is_refused(hidden_logs):
+    described = describe(extend(Prismatic(), SmoothTerm(("theta",), ((-0.5, 0.5),))))
+    described["causes"][0]["name"] = "smooth-term"
+    with pytest.raises(InputError, match="earlier version, where it meant something else; diagnose"):
+        restore(described, hidden_logs[0].machine)
 
 
 def test_directions_that_hypotheses_share_are_evaluated_once_and_right(linearized):
