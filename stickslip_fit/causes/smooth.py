@@ -20,6 +20,7 @@ from stickslip_fit.laws import State, StepLaw
 
 N_HARMONICS = 4  # of a wave: in them a square wave has 0.90 of its variance, a saw-tooth 0.87
 LENGTHS = (1.0, 0.4, 0.15, 0.06)  # correlation lengths that are tried, of the range
+MAX_LOG = 50.0  # of a factor: the search for coefficients may try more, of which the square is no number
 MAX_KEPT = 1_000_000  # numbers of functions that are kept for the next time, in each state
 MIN_PRIOR_SD = 0.03  # of a cosine's coefficient, relative to the largest one, below which it is left out
 
@@ -150,7 +151,7 @@ class LogLinearFactor(LinearFactor):
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
-        return np.exp(super().factor(state, values) - 1.0)
+        return np.exp(np.minimum(super().factor(state, values) - 1.0, MAX_LOG))
 
     def factor_slopes(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor_slopes`."""
