@@ -18,9 +18,9 @@ import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause
-from stickslip_fit.causes.parameters import CauseParameter
+from stickslip_fit.causes.parameters import CauseParameter, Row
 from stickslip_fit.causes.smooth import LinearFactor, cosines, harmonics, wave_products
-from stickslip_fit.laws import State, StepLaw
+from stickslip_fit.laws import State, StepLaw, state_at
 from stickslip_fit.units import from_si
 
 ANGLES = ("q1", "q2", "q3", "theta", "psi")  # the joint's own excepted, which is the position
@@ -161,6 +161,15 @@ class SmoothTerm(LinearFactor):
         waves = self.waves(values, self.limits_of(state.joint))
         functions = np.nan_to_num(wave_products(waves, self.orders)) * _sign(state, self.mode)[..., None]
         return _side_by_side(functions[:, :, None, :] * self._acting(state)[:, None, :, None])
+
+    def null_slopes(self, law: StepLaw, rows: Row, values: Array) -> Array:
+        """See `LinearFactor.null_slopes`: of one function for all, where each acts."""
+        if not self.on and not self.sessions:
+            return super().null_slopes(law, rows, values)
+        row = self.row_values(law, rows)
+        acts = self._acting(state_at(law.joint, row, row["start"][:, None]))
+        alike = replace(self, on=(), each=False, sessions=()).null_slopes(law, rows, values)
+        return (acts[:, :, None] * alike[:, None, :]).reshape(len(acts), -1)
 
     def _acting(self, state: State) -> Array:
         """Of each session, joint and direction with functions of its own, where it acts: 1 or 0, (n, g)."""

@@ -134,9 +134,13 @@ class LinearFactor(FactorCause):
         """See `Cause.changes`: by the derivatives without effect, since trials are small and many."""
         if not self.acts_on(law):
             return np.zeros((len(values), len(trials)))
+        return np.asarray(self.null_slopes(law, rows, values) @ trials.T)
+
+    def null_slopes(self, law: StepLaw, rows: Row, values: Array) -> Array:
+        """Derivatives of the log of the steps by each parameter, all 0, shape (n, q)."""
         extended, slopes = self.extend(law), []
-        first = np.concatenate([values, np.zeros((len(values), trials.shape[1]))], axis=1)
+        first = np.concatenate([values, np.zeros((len(values), len(self.parameters)))], axis=1)
         for subset, part in extended.parts(self.row_values(law, rows)):
             counts, own = part.counts_and_slopes(first[subset], extended.gamma_slopes_by_last)
             slopes.append(own / (counts + extended.steps_added(part.start_state, first[subset]))[:, None])
-        return np.asarray(np.concatenate(slopes) @ trials.T)
+        return np.concatenate(slopes)
