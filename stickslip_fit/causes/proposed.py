@@ -159,20 +159,19 @@ class SmoothTerm(LinearFactor):
         """See `LinearFactor.functions`."""
         values = np.broadcast_arrays(*(carrier_values(state, carrier) for carrier in self.carriers))
         waves = self.waves(values, self.limits_of(state.joint))
-        functions = np.nan_to_num(wave_products(waves, self.orders)) * _sign(state, self.mode)[..., None]
-        return _side_by_side(functions[:, :, None, :] * self._acting(state)[:, None, :, None])
+        return np.nan_to_num(wave_products(waves, self.orders)) * _sign(state, self.mode)[..., None]
 
     def null_slopes(self, law: StepLaw, rows: Row, values: Array) -> Array:
         """See `LinearFactor.null_slopes`: of one function for all, where each acts."""
         if not self.on and not self.sessions:
             return super().null_slopes(law, rows, values)
         row = self.row_values(law, rows)
-        acts = self._acting(state_at(law.joint, row, row["start"][:, None]))
+        acts = self.acts(state_at(law.joint, row, row["start"][:, None]))
         alike = replace(self, on=(), each=False, sessions=()).null_slopes(law, rows, values)
         return (acts[:, :, None] * alike[:, None, :]).reshape(len(acts), -1)
 
-    def _acting(self, state: State) -> Array:
-        """Of each session, joint and direction with functions of its own, where it acts: 1 or 0, (n, g)."""
+    def acts(self, state: State) -> Array:
+        """See `LinearFactor.acts`: of each session, joint and direction with functions of its own."""
         acts = np.ones((len(state.position), 1))
         if self.on:
             ways = [sum(_acts(state, joint, way) for joint, way in group) for group in self._groups]
@@ -276,12 +275,6 @@ class PeriodicTerm(SmoothTerm):
         """See `SmoothTerm.waves`: cosine and sine of each harmonic."""
         (clock,) = values
         return [harmonics(clock, self.period, len(self.orders) // 2)]
-
-
-def _side_by_side(functions: Array) -> Array:
-    """Functions of several groups, shape (n, k, g, q) -> (n, k, g q); n may be 0."""
-    n, k, g, q = functions.shape
-    return functions.reshape(n, k, g * q)
 
 
 def _only(group: Sequence[tuple[int, str]]) -> tuple[int | None, str | None]:

@@ -110,25 +110,33 @@ class LinearFactor(FactorCause):
 
     @abstractmethod
     def functions(self, state: State) -> Array:
-        """The function of each parameter, shape (n, k, q) or (n, 1, q)."""
+        """What the parameters are the coefficients of, shape (n, k, m) or (n, 1, m)."""
+
+    def acts(self, state: State) -> Array:
+        """For which traverses these have parameters of their own, 1 or 0: q = g m of them, shape (n, g)."""
+        return np.ones((len(state.position), 1))
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
-        functions = self._functions_in(state)
-        return np.asarray(1.0 + np.einsum("nkq,nq->nk", functions, np.concatenate(values, axis=1)))
+        functions, acts = self._functions_in(state)
+        each = np.concatenate(values, axis=1).reshape(*acts.shape, functions.shape[2])
+        own = np.einsum("ng,ngm->nm", acts, each)
+        return np.asarray(1.0 + np.einsum("nkm,nm->nk", functions, own))
 
     def factor_slopes(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor_slopes`."""
-        return self._functions_in(state)
+        functions, acts = self._functions_in(state)
+        slopes = functions[:, :, None, :] * acts[:, None, :, None]
+        return slopes.reshape(*functions.shape[:2], acts.shape[1] * functions.shape[2])
 
-    def _functions_in(self, state: State) -> Array:
-        """`functions`, computed once in a state: a fit asks for them again and again."""
+    def _functions_in(self, state: State) -> tuple[Array, Array]:
+        """`functions` and `acts`, computed once in a state: a fit asks for them again and again."""
         if id(self) in state.functions:
-            return state.functions[id(self)][1]
-        functions = self.functions(state)
+            return state.functions[id(self)][1:]
+        functions, acts = self.functions(state), self.acts(state)
         if functions.size <= MAX_KEPT:
-            state.functions[id(self)] = self, functions
-        return functions
+            state.functions[id(self)] = self, functions, acts
+        return functions, acts
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: by the derivatives without effect, since trials are small and many."""
