@@ -259,7 +259,8 @@ class AdaptiveCounter:
         """A state of all traverses, of some of them."""
         own = {name: column[rows] for name, column in self.row_values.items()}
         selected = state_at(self.law.joint, own, state.position[rows])
-        selected.functions.update({key: (cause, x[rows]) for key, (cause, x) in state.functions.items()})
+        for key, (cause, *kept) in state.functions.items():
+            selected.functions[key] = cause, *(x[rows] for x in kept)
         return selected
 
     def _refine(self, rows: IntArray) -> AdaptiveCounter:

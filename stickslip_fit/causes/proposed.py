@@ -18,9 +18,9 @@ import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause
-from stickslip_fit.causes.parameters import CauseParameter
+from stickslip_fit.causes.parameters import CauseParameter, Row
 from stickslip_fit.causes.smooth import LinearFactor, LogLinearFactor, cosines, harmonics, wave_products
-from stickslip_fit.laws import State, StepLaw
+from stickslip_fit.laws import State, StepLaw, state_at
 from stickslip_fit.units import from_si
 
 ANGLES = ("q1", "q2", "q3", "theta", "psi")  # the joint's own excepted, which is the position
@@ -159,20 +159,42 @@ class SmoothTerm(LogLinearFactor):
         """See `LinearFactor.functions`."""
         values = np.broadcast_arrays(*(carrier_values(state, carrier) for carrier in self.carriers))
         waves = self.waves(values, self.limits_of(state.joint))
-        functions = np.nan_to_num(wave_products(waves, self.orders)) * _sign(state, self.mode)[..., None]
-        return _side_by_side(functions[:, :, None, :] * self._acting(state)[:, None, :, None])
+        return np.nan_to_num(wave_products(waves, self.orders)) * _sign(state, self.mode)[..., None]
 
-    def _acting(self, state: State) -> Array:
-        """Of each session, joint and direction with functions of its own, where it acts: 1 or 0, (n, g)."""
-        acts = np.ones((len(state.position), 1))
-        if self.on:
-            ways = [sum(_acts(state, joint, way) for joint, way in group) for group in self._groups]
-            acts = np.concatenate(ways, axis=1)
+    def null_slopes(self, law: StepLaw, rows: Row, values: Array) -> Array:
+        """See `LinearFactor.null_slopes`: of one function for all, where each acts."""
+        if not self.on and not self.sessions:
+            return super().null_slopes(law, rows, values)
+        row = self.row_values(law, rows)
+        acts = self.acts(state_at(law.joint, row, row["start"][:, None]))
+        alike = self.for_all.null_slopes(law, rows, values)
+        return (acts[:, :, None] * alike[:, None, :]).reshape(len(acts), -1)
+
+    @property
+    def for_all(self) -> SmoothTerm:
+        """The same without functions of any session, joint or direction of their own."""
+        return replace(self, on=(), each=False, sessions=())
+
+    def acts(self, state: State) -> Array:
+        """See `LinearFactor.acts`: of each session, joint and direction with functions of its own."""
+        acts = self._of_groups(state)
         if not self.sessions:
             return acts
-        inside = np.asarray(state.row["session"], dtype=object)[:, None] == np.array(self.sessions, object)
-        own = (inside[:, :, None] * acts[:, None, :]).reshape(len(acts), inside.shape[1] * acts.shape[1])
+        own = self._of_sessions(state, acts)
         return np.concatenate([acts, own], axis=1) if self.common else own
+
+    def _of_groups(self, state: State) -> Array:
+        """As `acts`, of joints and directions."""
+        if not self.on:
+            return np.ones((len(state.position), 1))
+        ways = [sum(_acts(state, joint, way) for joint, way in group) for group in self._groups]
+        return np.concatenate(ways, axis=1)
+
+    def _of_sessions(self, state: State, acts: Array) -> Array:
+        """As `acts`, shape (n, g), of each session by itself, shape (n, sessions g)."""
+        inside = np.asarray(state.row["session"], dtype=object)[:, None] == np.array(self.sessions, object)
+        own = inside[:, :, None] * acts[:, None, :]
+        return np.asarray(own.reshape(len(acts), inside.shape[1] * acts.shape[1]))
 
     def limits_of(self, joint: int) -> tuple[tuple[float, float], ...]:
         """Range of each carrier where this joint moves."""
@@ -222,7 +244,7 @@ class TravelTerm(JointTerm):
     Attributes
     ----------
     travel : tuple of (int, float, float)
-        Joint and range of its positions.
+        Joint and range of its positions, where joints have different ones.
     """
 
     travel: tuple[tuple[int, float, float], ...] = ()
@@ -232,91 +254,83 @@ class TravelTerm(JointTerm):
 
     def limits_of(self, joint: int) -> tuple[tuple[float, float], ...]:
         """See `SmoothTerm.limits_of`."""
-        return tuple((low, high) for number, low, high in self.travel if number == joint)
+        return tuple((low, high) for number, low, high in self.travel if number == joint) or self.limits
 
 
 @dataclass(frozen=True)
-class SmoothProduct(LogLinearFactor):
-    """gamma times several terms of the same carriers.
+class NestedTerm(TravelTerm):
+    """gamma times exp of smooth functions of one carrier: in common, of directions, of sessions, and of both.
 
     Attributes
     ----------
-    parts : tuple of SmoothTerm
+    parts : tuple of (bool, {"same", "opposite"}, tuple of float)
+        Whether each session has a function of its own, its sign in the two directions, and the prior standard
+        deviations of the coefficients, in place of `sds`.
     """
 
-    parts: tuple[SmoothTerm, ...]
+    parts: tuple[tuple[bool, Mode, tuple[float, ...]], ...] = ((False, "same", (SMOOTH_SCALE,)),)
 
-    name = "smooth-functions"
+    name = "smooth-nested-function"
     phrase = SmoothTerm.phrase
-    physics = SmoothTerm.physics
-    shows_best = SmoothTerm.shows_best
 
-    @property
-    def carriers(self) -> tuple[str, ...]:
-        """Of all parts."""
-        return self.parts[0].carriers
-
-    @property
-    def on(self) -> tuple[tuple[int, str], ...]:
-        """Joints and directions on which it acts; all if empty."""
-        return tuple(dict.fromkeys(place for part in self.parts for place in part.on))
-
-    @property
-    def sessions(self) -> tuple[str, ...]:
-        """Sessions with functions of their own."""
-        return tuple(dict.fromkeys(session for part in self.parts for session in part.sessions))
-
-    @property
-    def each(self) -> bool:
-        """Whether directions differ."""
-        return any(part.mode == "opposite" for part in self.parts)
-
-    @property
-    def common(self) -> float:
-        """Share of the prior variance that is in functions which all sessions have in common."""
-        sizes = {bool(part.sessions): 0.0 for part in self.parts}
-        for part in self.parts:
-            sizes[bool(part.sessions)] += float(np.sum(np.square(part.sds)))
-        return sizes.get(False, 0.0) / sum(sizes.values())
-
-    @property
-    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `Cause`."""
-        return tuple(dict.fromkeys(name for part in self.parts for name in part.columns))
-
-    @property
-    def varies_along_traverse(self) -> bool:  # type: ignore[override]
-        """See `Cause`."""
-        return self.parts[0].varies_along_traverse
+    @classmethod
+    def of_parts(cls, term: SmoothTerm, parts: Sequence[tuple[bool, Mode, tuple[float, ...]]]) -> Self:
+        """A function of the same carrier and joints as another one."""
+        shared = {one.name: getattr(term, one.name) for one in fields(term)}
+        sizes = {
+            own: sum(sd**2 for one, _, sds in parts if one == own for sd in sds) for own in (True, False)
+        }
+        return cls(
+            **shared
+            | {
+                "orders": tuple((k,) for k in range(1, len(parts[0][2]) + 1)),
+                "sds": parts[0][2],
+                "mode": "same",
+                "each": any(mode == "opposite" for _, mode, _ in parts),
+                "common": sizes[False] / (sizes[False] + sizes[True]),
+                "parts": tuple(parts),
+            }
+        )
 
     @cached_property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`; numbered through all parts."""
-        parameters, first = [], 0
-        for part in self.parts:
-            for one in part.parameters:
-                number = first + int(one.name.removeprefix("c"))
-                meaning = one.meaning.replace(f"coefficient {one.name[1:]} ", f"coefficient {number} ")
-                parameters.append(replace(one, name=f"c{number}", meaning=meaning))
-            first += len(part.sds)
-        return tuple(parameters)
+        """See `Cause`."""
+        return tuple(
+            CauseParameter(
+                f"c{number}",
+                "%",
+                f"coefficient {number} of a smooth function of {self.carriers[0]}",
+                joint=joint,
+                session=session,
+                prior_sd=sd,
+            )
+            for place, (own, _, sds) in enumerate(self.parts)
+            for session in (self.sessions if own else (None,))
+            for joint, _ in map(_only, self._groups)
+            for number, sd in enumerate(sds, 1 + place * len(sds))
+        )
 
     @property
-    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
-        return (SMOOTH_SCALE,) * len(self.parameters)
+    def _groups(self) -> tuple[tuple[tuple[int, str], ...], ...]:
+        return replace(self, each=False)._groups if self.each else super()._groups
 
-    def acts_on(self, law: StepLaw) -> bool:
-        """See `Cause.acts_on`."""
-        return any(part.acts_on(law) for part in self.parts)
+    @property
+    def for_all(self) -> SmoothTerm:
+        """See `SmoothTerm.for_all`."""
+        return TravelTerm(self.carriers, self.limits, self.orders, self.sds, travel=self.travel)
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`."""
-        return [(self, np.diag([parameter.prior_sd for parameter in self.parameters]))]
+    def with_amplitude(self, amplitude: float) -> Self:
+        """See `SmoothTerm.with_amplitude`."""
+        parts = [(own, mode, tuple(amplitude * sd for sd in sds)) for own, mode, sds in self.parts]
+        return replace(self, parts=tuple(parts))
 
-    def functions(self, state: State) -> Array:
-        """See `LinearFactor.functions`."""
-        return np.concatenate([part.functions(state) for part in self.parts], axis=-1)
+    def acts(self, state: State) -> Array:
+        """See `LinearFactor.acts`."""
+        acts, columns = self._of_groups(state), []
+        for own, mode, _ in self.parts:
+            signed = acts * _sign(state, mode)
+            columns.append(self._of_sessions(state, signed) if own else signed)
+        return np.concatenate(columns, axis=1)
 
 
 @dataclass(frozen=True)
@@ -351,12 +365,6 @@ class PeriodicTerm(SmoothTerm):
         """See `SmoothTerm.waves`: cosine and sine of each harmonic."""
         (clock,) = values
         return [harmonics(clock, self.period, len(self.orders) // 2)]
-
-
-def _side_by_side(functions: Array) -> Array:
-    """Functions of several groups, shape (n, k, g, q) -> (n, k, g q); n may be 0."""
-    n, k, g, q = functions.shape
-    return functions.reshape(n, k, g * q)
 
 
 def _only(group: Sequence[tuple[int, str]]) -> tuple[int | None, str | None]:

@@ -20,9 +20,9 @@ from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.causes.proposed import (
     CarryOverTerm,
     JointTerm,
+    NestedTerm,
     PeriodicTerm,
     ProposedTerm,
-    SmoothProduct,
     SmoothTerm,
     TravelTerm,
 )
@@ -40,7 +40,8 @@ HISTORY_COLUMNS = {
 }
 ENTRY_POINT = "stickslip_fit.causes"
 PROPOSED: dict[str, Callable[..., Cause]] = {
-    kind.name: kind for kind in (SmoothTerm, JointTerm, TravelTerm, PeriodicTerm, ProposedTerm, CarryOverTerm)
+    kind.name: kind
+    for kind in (SmoothTerm, JointTerm, TravelTerm, NestedTerm, PeriodicTerm, ProposedTerm, CarryOverTerm)
 }
 # Names of proposed functions in files of earlier versions, where they were a sum, not an exponential.
 FORMER = ("smooth-term", "smooth-joint-term", "smooth-travel-term", "periodic-term")
@@ -132,8 +133,6 @@ def restore(
 
 
 def _describe_cause(cause: Cause) -> dict[str, Any]:
-    if isinstance(cause, SmoothProduct):
-        return {"name": cause.name, "parts": [_describe_cause(part) for part in cause.parts]}
     if not isinstance(cause, FormulaStepCause):
         return {"name": cause.name} | {field.name: getattr(cause, field.name) for field in fields(cause)}  # type: ignore[arg-type]
     bound = {field.name: getattr(cause, field.name) for field in fields(cause)}
@@ -167,8 +166,6 @@ def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -
     name, bound = description["name"], {key: _to_tuples(value) for key, value in description.items()}
     if name.startswith(COVARIATE_PREFIX):
         return Covariate(**{key: value for key, value in bound.items() if key != "name"})
-    if name == SmoothProduct.name:
-        return SmoothProduct(tuple(_restore_cause(part, known) for part in description["parts"]))  # type: ignore[misc]
     if name in FORMER:
         raise InputError(
             f"the saved law has a {name!r} of an earlier version, where it meant something else; "

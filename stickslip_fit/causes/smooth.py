@@ -111,36 +111,51 @@ class LinearFactor(FactorCause):
 
     @abstractmethod
     def functions(self, state: State) -> Array:
-        """The function of each parameter, shape (n, k, q) or (n, 1, q)."""
+        """What the parameters are the coefficients of, shape (n, k, m) or (n, 1, m)."""
+
+    def acts(self, state: State) -> Array:
+        """For which traverses these have parameters of their own, 1 or 0: q = g m of them, shape (n, g)."""
+        return np.ones((len(state.position), 1))
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
-        functions = self._functions_in(state)
-        return np.asarray(1.0 + np.einsum("nkq,nq->nk", functions, np.concatenate(values, axis=1)))
+        return 1.0 + self.linear_sum(state, values)
+
+    def linear_sum(self, state: State, values: list[Array]) -> Array:
+        """The sum of each parameter times its function, shape (n, k) or (n, 1)."""
+        functions, acts = self._functions_in(state)
+        each = np.concatenate(values, axis=1).reshape(*acts.shape, functions.shape[2])
+        return np.asarray(np.einsum("nkm,nm->nk", functions, np.einsum("ng,ngm->nm", acts, each)))
 
     def factor_slopes(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor_slopes`."""
-        return self._functions_in(state)
+        functions, acts = self._functions_in(state)
+        slopes = functions[:, :, None, :] * acts[:, None, :, None]
+        return slopes.reshape(*functions.shape[:2], acts.shape[1] * functions.shape[2])
 
-    def _functions_in(self, state: State) -> Array:
-        """`functions`, computed once in a state: a fit asks for them again and again."""
+    def _functions_in(self, state: State) -> tuple[Array, Array]:
+        """`functions` and `acts`, computed once in a state: a fit asks for them again and again."""
         if id(self) in state.functions:
-            return state.functions[id(self)][1]
-        functions = self.functions(state)
+            return state.functions[id(self)][1:]
+        functions, acts = self.functions(state), self.acts(state)
         if functions.size <= MAX_KEPT:
-            state.functions[id(self)] = self, functions
-        return functions
+            state.functions[id(self)] = self, functions, acts
+        return functions, acts
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: by the derivatives without effect, since trials are small and many."""
         if not self.acts_on(law):
             return np.zeros((len(values), len(trials)))
+        return np.asarray(self.null_slopes(law, rows, values) @ trials.T)
+
+    def null_slopes(self, law: StepLaw, rows: Row, values: Array) -> Array:
+        """Derivatives of the log of the steps by each parameter, all 0, shape (n, q)."""
         extended, slopes = self.extend(law), []
-        first = np.concatenate([values, np.zeros((len(values), trials.shape[1]))], axis=1)
+        first = np.concatenate([values, np.zeros((len(values), len(self.parameters)))], axis=1)
         for subset, part in extended.parts(self.row_values(law, rows)):
             counts, own = part.counts_and_slopes(first[subset], extended.gamma_slopes_by_last)
             slopes.append(own / (counts + extended.steps_added(part.start_state, first[subset]))[:, None])
-        return np.asarray(np.concatenate(slopes) @ trials.T)
+        return np.concatenate(slopes)
 
 
 class LogLinearFactor(LinearFactor):
@@ -151,8 +166,8 @@ class LogLinearFactor(LinearFactor):
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
-        return np.exp(np.minimum(super().factor(state, values) - 1.0, MAX_LOG))
+        return np.exp(np.minimum(self.linear_sum(state, values), MAX_LOG))
 
     def factor_slopes(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor_slopes`."""
-        return self._functions_in(state) * self.factor(state, values)[..., None]
+        return super().factor_slopes(state, values) * self.factor(state, values)[..., None]

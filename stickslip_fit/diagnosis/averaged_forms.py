@@ -11,13 +11,13 @@ at a learning rate below one, as the noise is no exact model (P. Grunwald and T.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.proposed import Mode, SmoothProduct, SmoothTerm
+from stickslip_fit.causes.proposed import Mode, NestedTerm, SmoothTerm
 from stickslip_fit.causes.smooth import MIN_PRIOR_SD, prior_sds
 from stickslip_fit.diagnosis.evidence import find_strength
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, VARIANCE_TOL, compute_effects
@@ -34,7 +34,7 @@ Form = tuple[int, int, int]
 """Places of its length, of its share that is opposite in directions, and of its share of sessions."""
 
 
-def average_forms(term: SmoothTerm, linearized: LinearizedFit, residual: Array) -> SmoothProduct:
+def average_forms(term: SmoothTerm, linearized: LinearizedFit, residual: Array) -> NestedTerm:
     """The average over the forms of a function of one carrier that differs between sessions.
 
     Whitened residuals, shape (n,), weigh them and tell the size of the prior.
@@ -42,26 +42,19 @@ def average_forms(term: SmoothTerm, linearized: LinearizedFit, residual: Array) 
     priors = [prior_sds(length) for length in LENGTHS]
     if len(term.orders) < len(prior_sds(max(CARRIER_LENGTHS))):  # the carrier has few values
         priors = [priors[0][: len(term.orders)]]
-    finest = np.ones(max(map(len, priors)))
-    whole = _with_sds(replace(term, mode="same", each=False, sessions=(), common=0.0), finest)
     modes: tuple[Mode, ...] = ("same", "opposite") if np.ptp(linearized.direction_sign) else ("same",)
-    parts = [
-        replace(whole, mode=mode, sessions=sessions) for sessions, mode in product(((), term.sessions), modes)
-    ]
-    effects = [compute_effects(linearized, part, np.eye(len(part.parameters))) for part in parts]
+    kinds = list(product((False, True), modes))
+    units = (1.0,) * max(map(len, priors))
+    wholes = [NestedTerm.of_parts(term, [(*kind, units)]) for kind in kinds]
+    effects = [compute_effects(linearized, whole, np.eye(len(whole.parameters))) for whole in wholes]
     variances = _Forms(effects, priors, residual, linearized.df).average()
-    least = MIN_PART * variances.sum()
-    kept = [
-        _with_sds(part, np.sqrt(own)) for part, own in zip(parts, variances, strict=True) if own.sum() > least
-    ]
-    return SmoothProduct(tuple(kept))
-
-
-def _with_sds(term: SmoothTerm, sds: Array) -> SmoothTerm:
-    """A function with these standard deviations of its coefficients but for the least ones."""
-    sds = sds[: 1 + int(np.max(np.flatnonzero(sds >= MIN_PRIOR_SD * sds.max())))]
-    orders = tuple((k,) for k in range(1, len(sds) + 1))
-    return replace(term, orders=orders, sds=tuple(map(float, sds)))
+    total = variances.sum(axis=0)
+    variances = variances[:, : 1 + int(np.max(np.flatnonzero(total >= MIN_PRIOR_SD**2 * total.max())))]
+    kept = variances.sum(axis=1) > MIN_PART * variances.sum()
+    sds = np.sqrt(variances).tolist()
+    return NestedTerm.of_parts(
+        term, [(*kind, tuple(own)) for kind, own, keep in zip(kinds, sds, kept, strict=True) if keep]
+    )
 
 
 @dataclass(frozen=True)

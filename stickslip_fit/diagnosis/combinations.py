@@ -14,13 +14,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import compress
 
 import numpy as np
 from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR, form_cause_set
-from stickslip_fit.diagnosis.evidence import batch_hypotheses, strength_evidence
+from stickslip_fit.diagnosis.evidence import batch_hypotheses, column_evidence, strength_evidence
 from stickslip_fit.diagnosis.extension import (
     Extension,
     SelectedCause,
@@ -131,66 +132,93 @@ def find_beside_unknown(
     where it is much larger than the noise, nothing shows beside it until it is in the law. The margin is as
     of `find_exchange`.
     """
-    misfit = unknown.test
-    pairs = _test_beside_unknown(misfit, searched.df) if problem.autocorrelation is None else []
-    if not pairs:
+    misfit, df = unknown.test, searched.df
+    shapes = [
+        one for one in misfit.hypotheses if isinstance(one, Hypothesis) and classify_cause(one) != UNKNOWN
+    ]
+    known = [one for one in shapes if one.cause in misfit.log_evidence_by_cause]
+    tests = _weigh_beside_unknown(misfit, known, df) if problem.autocorrelation is None and known else []
+    if not tests:
         return PairSearch(None)
-    tests = [test for test, _ in pairs]
     causes = [cause for cause in misfit.log_evidence_by_cause if cause != UNKNOWN]
-    each = {cause: [one.log_evidence_by_cause.get(cause, -np.inf) for one in tests] for cause in causes}
+    each = {cause: [evidence.get(cause, -np.inf) for evidence, _ in tests] for cause in causes}
     together = {cause: float(logsumexp(values)) for cause, values in each.items()}
     together[UNKNOWN] = max(
         misfit.log_evidence_by_cause[UNKNOWN],
-        float(logsumexp([one.log_evidence_by_cause[UNKNOWN] for one in tests])),
+        float(logsumexp([evidence[UNKNOWN] for evidence, _ in tests])),
     )
     best = max(causes, key=together.__getitem__)
     to_beat = together[UNKNOWN] + float(np.log(len(together) / level))
-    behind, (left, test) = to_beat - together[best], pairs[int(np.argmax(each[best]))]
-    if behind > 0 or assess_support(searched, left, best).too_narrow:
-        # Beside such structure every effect has some evidence, which other rows hardly turn into enough.
-        least = together[UNKNOWN] + PAIR_MIN_LOG_BAYES_FACTOR
-        near = [together[cause] for cause in causes if together[cause] > least]
-        return PairSearch(None, max(to_beat - max(near, default=-np.inf), 0.0))
-    one = make_selected(left, form_cause_set(replace(left, log_evidence_by_cause=together), best))
-    return PairSearch(Combination(replace(one, misfit=test), (UNKNOWN,)), behind)
+    behind = to_beat - together[best]
+    if behind <= 0:
+        left, test = _test_beside_unknown(misfit, known, df, *tests[int(np.argmax(each[best]))])
+        if not assess_support(searched, left, best).too_narrow:
+            one = make_selected(left, form_cause_set(replace(left, log_evidence_by_cause=together), best))
+            return PairSearch(Combination(replace(one, misfit=test), (UNKNOWN,)), behind)
+    # Beside such structure every effect has some evidence, which other rows hardly turn into enough.
+    least = together[UNKNOWN] + PAIR_MIN_LOG_BAYES_FACTOR
+    near = [together[cause] for cause in causes if together[cause] > least]
+    return PairSearch(None, max(to_beat - max(near, default=-np.inf), 0.0))
 
 
-def _test_beside_unknown(misfit: Misfit, df: int) -> list[tuple[Misfit, Misfit]]:
-    """Tests under the covariance of likely structures; none without a cause that has a shape.
+Whitening = Callable[[Array], Array]
+"""Columns, (n,) or (n, m), without the covariance of some structure."""
 
-    Each is followed by itself with the shapes as they are: with those under the covariance beside its own
-    effect, a cause could describe the structure as well.
 
-    Evidence by cause is that of the structure and the cause together, and for ``unknown`` that of the
-    structure alone, as parts of an average over all structures. Under the covariance that a structure gives
-    the residuals, effects lose what it may have taken up (C. E. Rasmussen and C. K. I. Williams, Gaussian
-    Processes for Machine Learning, 2006, sect. 2.7).
+def _weigh_beside_unknown(
+    misfit: Misfit, known: Sequence[Hypothesis], df: int
+) -> list[tuple[dict[str, float], Whitening]]:
+    """Evidence of known causes' shapes by cause under the covariance of each likely structure.
+
+    It is that of the structure and the cause together, and for ``unknown`` that of the structure alone, as
+    parts of an average over all structures. Under the covariance that a structure gives the residuals,
+    effects lose what it may have taken up (C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for
+    Machine Learning, 2006, sect. 2.7).
     """
-    known = [
-        one
-        for one in misfit.hypotheses
-        if isinstance(one, Hypothesis)
-        and (cause := classify_cause(one)) != UNKNOWN
-        and cause in misfit.log_evidence_by_cause
-    ]
-    effects, tests = [one.directions * np.sqrt(one.prior_share) for one in known], []
-    for alone, whiten in _likely_structures(misfit, df) if known else ():
-        left = [
-            make_hypothesis(one.cause, one.version, one.values, whiten(own))
-            for one, own in zip(known, effects, strict=True)
-        ]
-        seen = [own for own, one in zip(known, left, strict=True) if one is not None]
-        shown, residual = [one for one in left if one is not None], whiten(misfit.residual)
-        evidence = batch_hypotheses(shown, df).log_evidence(residual[:, None])[:, 0]
+    single = [one for one in known if len(one.prior_share) == 1]
+    wide, tests = [one for one in known if len(one.prior_share) > 1], []
+    columns = np.concatenate(
+        [np.zeros((len(misfit.residual), 0)), *(one.directions for one in single)], axis=1
+    )
+    one_sided = np.array([one.one_sided for one in single], dtype=bool)
+    for alone, whiten in _likely_structures(misfit, df):
+        residual = whiten(misfit.residual)
+        own = column_evidence(whiten(columns), residual, df, one_sided)
+        others = [one for one in _whiten_shapes(wide, whiten) if one is not None]
+        shown = [*compress(single, np.isfinite(own)), *others]
         names = [one.cause for one in shown]
+        own = own[np.isfinite(own)]
+        evidence = np.concatenate([own, batch_hypotheses(others, df).log_evidence(residual[:, None])[:, 0]])
         together = average_by_cause(names, alone + weigh_hypotheses(shown, names), evidence)
-        by_cause = {**together, UNKNOWN: alone}
-        test = replace(misfit, log_evidence=evidence, log_evidence_by_cause=by_cause, hypotheses=tuple(seen))
-        tests.append((replace(test, residual=residual, hypotheses=tuple(shown)), test))
+        tests.append(({**together, UNKNOWN: alone}, whiten))
     return tests
 
 
-def _likely_structures(misfit: Misfit, df: int) -> Iterator[tuple[float, Callable[[Array], Array]]]:
+def _whiten_shapes(shapes: Sequence[Hypothesis], whiten: Whitening) -> list[Hypothesis | None]:
+    """Each shape under the covariance of a structure; None where that leaves next to nothing."""
+    effects = [whiten(one.directions * np.sqrt(one.prior_share)) for one in shapes]
+    return [
+        make_hypothesis(one.cause, one.version, one.values, own)
+        for one, own in zip(shapes, effects, strict=True)
+    ]
+
+
+def _test_beside_unknown(
+    misfit: Misfit, known: Sequence[Hypothesis], df: int, by_cause: dict[str, float], whiten: Whitening
+) -> tuple[Misfit, Misfit]:
+    """The test under a structure's covariance, evidence by cause given, and with the shapes as they are.
+
+    With those under the covariance beside its own effect, a cause could describe the structure as well.
+    """
+    made = _whiten_shapes(known, whiten)
+    seen = tuple(own for own, one in zip(known, made, strict=True) if one is not None)
+    shown, residual = [one for one in made if one is not None], whiten(misfit.residual)
+    evidence = batch_hypotheses(shown, df).log_evidence(residual[:, None])[:, 0]
+    test = replace(misfit, log_evidence=evidence, log_evidence_by_cause=by_cause, hypotheses=seen)
+    return replace(test, residual=residual, hypotheses=tuple(shown)), test
+
+
+def _likely_structures(misfit: Misfit, df: int) -> Iterator[tuple[float, Whitening]]:
     """The share of unknown structures in an average of their evidence, and columns without their covariance.
 
     Each likely shape at several strengths: with a cause in the law the noise is smaller, so that it may be

@@ -19,8 +19,8 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.special import logsumexp
 
-from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.diagnosis.hypotheses import Hypothesis
+from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis
 from stickslip_fit.diagnosis.memory import AR1, log_memory_evidence
 
 STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])  # tau: hyperprior on the norm of an effect, whitened
@@ -71,6 +71,19 @@ def find_strength(along: Array, share: Array, residual: Array, df: int) -> Likel
     explained = (signal[best] / (1.0 + signal[best])) @ along**2
     noise = max(float(residual @ residual - explained), 0.0) / df
     return LikeliestStrength(float(evidence[best]), float(WIDE_STRENGTHS[best]), noise)
+
+
+def column_evidence(columns: Array, residual: Array, df: int, one_sided: BoolArray) -> Array:
+    """Log Bayes factor of each effect, (n, m), of unknown size, shape (m,); -inf of one that is 0.
+
+    As of hypotheses of one direction each, which may be `one_sided`, (m,).
+    """
+    lengths, signal = np.sqrt(np.einsum("nm,nm->m", columns, columns)), STRENGTHS[:, None] ** 2
+    along = columns.T @ residual / np.maximum(lengths, EFFECT_TOL)
+    along[one_sided] = np.maximum(along[one_sided], 0.0)
+    total = max(float(residual @ residual), np.finfo(float).tiny)
+    at_each = log_likelihood_ratio(signal / (1.0 + signal) * along**2 / total, df) - 0.5 * np.log1p(signal)
+    return np.where(lengths < EFFECT_TOL, -np.inf, logsumexp(at_each, axis=0) - np.log(len(STRENGTHS)))
 
 
 def log_likelihood_ratio(explained: npt.ArrayLike, df: int) -> Array:

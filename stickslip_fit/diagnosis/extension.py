@@ -240,7 +240,7 @@ def linearize_with_causes(
     """A fit with causes in its laws, linearized; other forms that the causes may have count as known."""
     plain = problem.linearize_extended(fit)
     forms = [form for one in causes for form in _other_forms(plain, one)]
-    return problem.linearize_extended(fit, np.concatenate(forms, axis=1)) if forms else plain
+    return plain.absorb(np.concatenate(forms, axis=1)) if forms else plain
 
 
 def absorb_unknown(extension: Extension, selected: Sequence[SelectedCause]) -> LinearizedFit:
@@ -249,16 +249,12 @@ def absorb_unknown(extension: Extension, selected: Sequence[SelectedCause]) -> L
     A proposal is a guess at a form: whatever else follows the same carriers is no second finding. Nor is what
     a wave's harmonics have beside them, as its shape slowly changes.
     """
-    problem, fit, linearized = extension
+    linearized = extension[-1]
     unknown = [one for one in law_causes(selected) if one.cause == UNKNOWN]
     periods = [one.version.period for one in law_causes(selected) if isinstance(one.version, PeriodicTime)]
-    if not unknown and not periods:
-        return linearized
-    plain = problem.linearize_extended(fit)
-    effects = [_unknown_forms(plain, one) for one in unknown]
-    effects += [_beside_harmonics(plain, period) for period in periods]
-    others = [form for one in law_causes(selected) for form in _other_forms(plain, one)]
-    return problem.linearize_extended(fit, np.concatenate([*others, *effects], axis=1))
+    effects = [_unknown_forms(linearized, one) for one in unknown]
+    effects += [_beside_harmonics(linearized, period) for period in periods]
+    return linearized.absorb(np.concatenate(effects, axis=1)) if effects else linearized
 
 
 def _beside_harmonics(linearized: LinearizedFit, period: float) -> Array:

@@ -292,23 +292,24 @@ def build_per_session_hypotheses(
     `n` is the number of rows; `effects`, shape (n, number of names, w), are whitened.
     """
     versions = [None] * len(names) if versions is None else versions
-    if sessions[0].shared_basis.shape[1] and 1 < len(sessions) <= MAX_COUPLED_SESSIONS:
-        return _couple_sessions(names, n, sessions, effects, versions)
+    shared = sessions[0].shared
+    if shared is not None and 1 < len(sessions) <= MAX_COUPLED_SESSIONS:
+        parts, shared = [_couple_sessions(n, sessions, effects)], None
+    else:
+        parts = [(session.rows, _project_in_session(session, effects)) for session in sessions]
     directions, variances = [], []
-    for session in sessions:
-        flat = session.project(effects[session.rows].reshape(len(session), -1))
-        own, shared = (
-            columns.reshape(len(columns), *effects.shape[1:]).transpose(1, 0, 2)
-            for columns in (flat, session.shared_basis.T @ flat)
-        )
-        products = own.transpose(0, 2, 1) @ own - shared.transpose(0, 2, 1) @ shared
+    for rows, own in parts:
+        products = own @ own.transpose(0, 2, 1)
+        if shared is not None:
+            along = own @ shared[rows]
+            products -= along @ along.transpose(0, 2, 1)
         try:
             variance, right = np.linalg.eigh(products)
         except np.linalg.LinAlgError:  # of one of them: all are left out
             return []
         scaled = right / np.sqrt(np.maximum(variance, EFFECT_TOL**2))[:, None, :]
         # Column by column in memory, as `group_directions` copies it.
-        directions.append((scaled.transpose(0, 2, 1) @ own.transpose(0, 2, 1)).transpose(0, 2, 1))
+        directions.append((scaled.transpose(0, 2, 1) @ own).transpose(0, 2, 1))
         variances.append(np.maximum(variance, 0.0))
     variance = np.stack(variances, axis=1)
     total = variance.sum(axis=(1, 2))
@@ -316,36 +317,36 @@ def build_per_session_hypotheses(
     whole, hypotheses = kept.all(axis=(1, 2)), []
     for k in np.flatnonzero(total >= EFFECT_TOL**2).tolist():
         blocks = tuple(
-            (session.rows, own[k] if whole[k] else own[k][:, inside])
-            for session, own, inside in zip(sessions, directions, kept[k], strict=True)
+            (rows, own[k] if whole[k] else own[k][:, inside])
+            for (rows, _), own, inside in zip(parts, directions, kept[k], strict=True)
         )
         share, length = variance[k][kept[k]] / total[k], float(np.sqrt(total[k]))
-        one = Hypothesis(names[k], versions[k], None, n, blocks, share, length, shared=sessions[0].shared)
-        hypotheses.append(one)
+        hypotheses.append(Hypothesis(names[k], versions[k], None, n, blocks, share, length, shared=shared))
     return hypotheses
 
 
+def _project_in_session(session: SessionFit, effects: Array) -> Array:
+    """What a session's own calibration leaves of effects, (n, number of names, w), there; (names, w, s)."""
+    columns = session.project(effects[session.rows].reshape(len(session), -1))
+    return np.ascontiguousarray(columns.T).reshape(*effects.shape[1:], len(session))
+
+
 def _couple_sessions(
-    names: Sequence[str], n: int, sessions: Sequence[SessionFit], effects: Array, versions: Sequence[Any]
-) -> list[Hypothesis]:
-    """As `build_per_session_hypotheses`, with what all sessions share projected out of all of them together.
+    n: int, sessions: Sequence[SessionFit], effects: Array
+) -> tuple[IntArray | slice, Array]:
+    """Effects of all sessions, with what these share projected out of all of them together.
 
     Session by session, what one loses to a shared parameter would count in the others.
     """
-    shared = sessions[0].shared
+    shared, (number, width) = sessions[0].shared, effects.shape[1:]
     assert shared is not None
-    projected = [
-        session.project(effects[session.rows].reshape(len(session), -1)).reshape(-1, *effects.shape[1:])
-        for session in sessions
-    ]
-    hypotheses = []
-    for k, (name, version) in enumerate(zip(names, versions, strict=True)):
-        own = np.zeros((n, len(sessions), effects.shape[2]))
-        for place, (session, columns) in enumerate(zip(sessions, projected, strict=True)):
-            own[session.rows, place] = columns[:, k]
-        columns = own.reshape(n, -1)
-        hypotheses.append(make_hypothesis(name, version, None, columns - shared @ (shared.T @ columns)))
-    return [one for one in hypotheses if one is not None]
+    own = np.zeros((number, len(sessions), width, n))
+    for place, session in enumerate(sessions):
+        own[:, place, :, session.rows] = _project_in_session(session, effects).transpose(2, 0, 1)
+    columns = own.reshape(-1, n)
+    columns -= (columns @ shared) @ shared.T
+    rows = find_rows(columns.T)
+    return rows, columns[:, rows].reshape(number, len(sessions) * width, -1)
 
 
 def compute_effects(linearized: LinearizedFit | SessionFit, version: Any, trials: Array) -> Array:

@@ -78,6 +78,10 @@ class LinearizedFit:
         Rows of each block and its columns of `basis` there.
     noise_filter : sparse array, shape (n, n), or None
         Prediction-error filter of autocorrelated noise; None for independent noise.
+    common : array, shape (n, k), or None
+        Whitened slopes by what all blocks share, of which the last columns of `basis` are a basis.
+    n_before : int
+        Number of columns of `basis` before those.
     """
 
     rows: pd.DataFrame
@@ -87,6 +91,8 @@ class LinearizedFit:
     basis: csr_array
     blocks: tuple[tuple[IntArray, Array], ...]
     noise_filter: csr_array | None = None
+    common: Array | None = None
+    n_before: int = 0
 
     def __len__(self) -> int:
         return len(self.residual)
@@ -123,6 +129,17 @@ class LinearizedFit:
     def project(self, columns: Array) -> Array:
         """Project columns onto the orthogonal complement of `basis`, shape (n,) or (n, m)."""
         return columns - self.basis @ (self._basis_transposed @ columns)
+
+    def absorb(self, effects: Array) -> LinearizedFit:
+        """The same with further effects, whitened, shape (n, m), projected out as what all blocks share."""
+        assert self.common is not None
+        common = np.concatenate([self.common, effects], axis=1)
+        if not common.shape[1]:
+            return self
+        before = self.basis[:, : self.n_before]
+        border = _orthonormalize(common - before @ (before.T @ common))
+        absorbed = replace(self, basis=csr_array(hstack([before, csr_array(border)])), common=common)
+        return replace(absorbed, residual=absorbed.project(self.residual))
 
     def project_own(self, columns: Array) -> Array:
         """As `project`, but for the columns of `basis` that all blocks share, shape (n, m)."""
@@ -202,6 +219,8 @@ class LinearizedFit:
             residual=self.residual[kept],
             basis=csr_array(hstack([basis, csr_array(border)])),
             blocks=tuple(blocks),
+            common=border,
+            n_before=basis.shape[1],
         )
         return replace(smaller, residual=smaller.project(smaller.residual))
 
@@ -253,7 +272,6 @@ def linearize_fit(
     scale: Array,
     *,
     shared: int = 0,
-    absorbed: Array | None = None,
     noise_filter: csr_array | None = None,
     prior_sd: Array | None = None,
     at_bound: BoolArray | None = None,
@@ -272,8 +290,6 @@ def linearize_fit(
         Standard deviation of each response.
     shared : int, optional
         How many of the parameters, the last ones, all parts share.
-    absorbed : array, shape (n, m), optional
-        Further effects, whitened, to project out.
     noise_filter : sparse array, shape (n, n), optional
         As of `LinearizedFit`; its sequences do not leave a block.
     prior_sd : array, shape (q,), optional
@@ -310,12 +326,10 @@ def linearize_fit(
         common, prior_sd = common[:, kept], prior_sd[~at_bound]
     if prior_sd is not None and np.isfinite(prior_sd).any():
         common = _keep_determined(common, basis, prior_sd)
-    common = common if absorbed is None else np.concatenate([common, absorbed], axis=1)
-    if common.shape[1]:
-        border = _orthonormalize(common - basis @ (basis.T @ common))
-        basis = csr_array(hstack([basis, csr_array(border)]))
-    linearized = LinearizedFit(rows, tuple(parts), scale, residual, basis, tuple(blocks), noise_filter)
-    return replace(linearized, residual=linearized.project(residual))
+    known = tuple(parts), scale, residual, basis, tuple(blocks), noise_filter, common, basis.shape[1]
+    linearized = LinearizedFit(rows, *known)
+    linearized = replace(linearized, residual=linearized.project(residual))
+    return linearized.absorb(common[:, :0])
 
 
 def _keep_determined(common: Array, basis: csr_array, prior_sd: Array) -> Array:

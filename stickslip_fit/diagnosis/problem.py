@@ -176,9 +176,9 @@ class DiagnosisProblem:
         """The problem of one who takes the laws as they were chosen, as a calibration does."""
         return replace(self, uncertain=())
 
-    def linearize_extended(self, fit: ExtendedFit, absorbed: Array | None = None) -> LinearizedFit:
-        """A fit of the extended laws, linearized; `absorbed` as of `linearize_fit`."""
-        known: Any = {"absorbed": absorbed, "prior_sd": fit.prior_sd, "at_bound": fit.at_bound}
+    def linearize_extended(self, fit: ExtendedFit) -> LinearizedFit:
+        """A fit of the extended laws, linearized."""
+        known: Any = {"prior_sd": fit.prior_sd, "at_bound": fit.at_bound}
         return self._linearize(fit.parts, self.n_shared + len(fit.values), **known)
 
     def log_likelihood(self, fit: ExtendedFit) -> float:

@@ -271,7 +271,7 @@ class State:
         return np.abs(np.cos(self.q2)) if self.override_recoil is None else self.override_recoil
 
     @cached_property
-    def functions(self) -> dict[int, tuple[object, Array]]:
+    def functions(self) -> dict[int, tuple[Any, Array, Array]]:
         """What causes compute here without their parameters, each with its cause, by the id of that."""
         return {}
 

@@ -1,12 +1,10 @@
 """What follows from the equations: changes of the response, and derivatives by every parameter."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from stickslip_fit.causes import PayloadChange, SessionJump, extend
-from stickslip_fit.causes.proposed import SmoothProduct, SmoothTerm
+from stickslip_fit.causes.proposed import NestedTerm, SmoothTerm
 from tests.causes.by_hand import ROWS, SECOND
 from tests.causes.table import CASES, LAWS, MACHINE, NAMED, own_values
 
@@ -52,11 +50,11 @@ def test_a_jump_acts_in_its_own_session_from_its_moment_on():
 def test_a_smooth_function_is_the_logarithm_of_a_factor():
     """Where it is constant along all traverses, steps are divided by its exponential, however large it is."""
     rows = ROWS[ROWS["joint"] == 2]
-    far = SmoothTerm(limits=((0.0, 1e9),), orders=((1,),), sds=(0.01,), on=((2, "+"),))
-    law = extend(LAWS[2], SmoothProduct((far, replace(far, mode="opposite", on=((2, "+"), (2, "-"))))))
+    far = SmoothTerm(limits=((0.0, 1e9),), on=((2, "+"), (2, "-")))
+    law = extend(LAWS[2], NestedTerm.of_parts(far, [(False, "same", (0.1,)), (False, "opposite", (0.1,))]))
     values = np.concatenate([own_values(rows), np.tile([0.7, 2.0], (len(rows), 1))], axis=1)
     found = law.predict(rows, values) - LAWS[2].predict(rows, own_values(rows))
-    np.testing.assert_allclose(found, np.where(rows["direction"] == "+", -2.7, 2.0), rtol=1e-9)
+    np.testing.assert_allclose(found, np.where(rows["direction"] == "+", -2.7, 1.3), rtol=1e-9)
 
 
 def test_a_payload_in_a_session_without_rows_changes_nothing_beside_a_smooth_function():

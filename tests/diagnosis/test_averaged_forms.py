@@ -58,7 +58,7 @@ def term_of(linearized: LinearizedFit) -> SmoothTerm:
 
 def variances(term):
     """By whether it is each session's own and whether opposite in directions."""
-    return {(bool(part.sessions), part.mode): np.square(part.sds) for part in term.parts}
+    return {(own, mode): np.square(sds) for own, mode, sds in term.parts}
 
 
 @pytest.mark.parametrize(

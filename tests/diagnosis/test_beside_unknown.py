@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.causes.proposed import SmoothProduct
+from stickslip_fit.causes.proposed import NestedTerm
 from stickslip_fit.diagnosis import Diagnosis, diagnose
 from stickslip_fit.diagnosis.finding import Gain
 from stickslip_fit.diagnosis.fold_selection import prepare_looks
@@ -71,7 +71,7 @@ def make_log(
     return diagnose(read_log(folder / "log.csv", machine=load_machine(folder / "stage.toml")), gain=gain)
 
 
-def share_of_details(version: SmoothProduct) -> float:
+def share_of_details(version: NestedTerm) -> float:
     """Of a function's prior variance, in cosines of more than ten waves in the travel."""
     variance = [
         (order, sd**2) for part in version.parts for (order,), sd in zip(part.orders, part.sds, strict=True)

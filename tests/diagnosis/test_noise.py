@@ -225,7 +225,7 @@ def test_noise_is_told_by_as_many_rows_as_the_law_leaves(rows, parts, df):
     for _ in range(60):
         further = np.exp(rng.standard_normal((n, 1))) * rng.standard_normal((n, n - calibration - df))
         responses = predicted + NOISE * rng.standard_normal(n)
-        linearized = linearize_fit(rows, parts, responses, scale, absorbed=further)
+        linearized = linearize_fit(rows, parts, responses, scale).absorb(further)
         noise = estimate_noise(
             linearized, StructureRemoved(linearized.residual, whole), whole, drive, kind_of(rows)
         )

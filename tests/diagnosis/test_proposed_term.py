@@ -7,7 +7,7 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit.causes import Temperature, extend
-from stickslip_fit.causes.proposed import JointTerm, ProposedTerm, SmoothProduct, SmoothTerm, TravelTerm
+from stickslip_fit.causes.proposed import JointTerm, NestedTerm, ProposedTerm, SmoothTerm, TravelTerm
 from stickslip_fit.causes.registry import describe, restore
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes, build_unstructured_alternatives
@@ -134,7 +134,8 @@ def test_a_law_with_terms_is_saved_and_restored(hidden_logs):
         ("session_seconds",), ((0.0, 9e3),), on=((2, "+"), (3, "+"), (3, "-")), sessions=("a", "b")
     )
     assert len(waves.parameters) == 4  # of two joints in two sessions
-    parts = SmoothProduct((travel, replace(travel, mode="opposite", sessions=())))
+    parts = NestedTerm.of_parts(travel, [(True, "same", (0.1, 0.02)), (False, "opposite", (0.1, 0.02))])
+    assert len(parts.parameters) == 12  # of two joints, in two sessions and of opposite sign in directions
     law = extend(extend(extend(law, travel), waves), parts)
     restored = restore(describe(law), machine)
     assert restored.causes == law.causes
