@@ -277,20 +277,15 @@ class NestedTerm(TravelTerm):
     def of_parts(cls, term: SmoothTerm, parts: Sequence[tuple[bool, Mode, tuple[float, ...]]]) -> Self:
         """A function of the same carrier and joints as another one."""
         shared = {one.name: getattr(term, one.name) for one in fields(term)}
-        sizes = {
-            own: sum(sd**2 for one, _, sds in parts if one == own for sd in sds) for own in (True, False)
+        variances = [(own, float(np.sum(np.square(sds)))) for own, _, sds in parts]
+        shared |= {
+            "orders": tuple((k,) for k in range(1, len(parts[0][2]) + 1)),
+            "sds": parts[0][2],
+            "mode": "same",
+            "each": any(mode == "opposite" for _, mode, _ in parts),
+            "common": sum(one for own, one in variances if not own) / sum(one for _, one in variances),
         }
-        return cls(
-            **shared
-            | {
-                "orders": tuple((k,) for k in range(1, len(parts[0][2]) + 1)),
-                "sds": parts[0][2],
-                "mode": "same",
-                "each": any(mode == "opposite" for _, mode, _ in parts),
-                "common": sizes[False] / (sizes[False] + sizes[True]),
-                "parts": tuple(parts),
-            }
-        )
+        return cls(**shared, parts=tuple(parts))
 
     @cached_property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
