@@ -270,7 +270,7 @@ class NestedTerm(TravelTerm):
 
     parts: tuple[tuple[bool, Mode, tuple[float, ...]], ...] = ((False, "same", (SMOOTH_SCALE,)),)
 
-    name = "smooth-nested-function"
+    name = "smooth-functions"
     phrase = SmoothTerm.phrase
 
     @classmethod
