@@ -73,10 +73,8 @@ def make_log(
 
 def share_of_details(version: NestedTerm) -> float:
     """Of a function's prior variance, in cosines of more than ten waves in the travel."""
-    variance = [
-        (order, sd**2) for part in version.parts for (order,), sd in zip(part.orders, part.sds, strict=True)
-    ]
-    return sum(one for order, one in variance if order > 20) / sum(one for _, one in variance)
+    variances = [np.square(sds) for _, _, sds in version.parts]
+    return float(sum(one[20:].sum() for one in variances) / sum(map(np.sum, variances)))
 
 
 @pytest.fixture(scope="module")
