@@ -238,12 +238,13 @@ def _likely_structures(misfit: Misfit, df: int) -> Iterator[tuple[float, Whiteni
         alone = strength_evidence(signal, directions.T @ misfit.residual, misfit.residual, df)
         alone += weight[k] - np.log(len(signal))
         for strength in range(int(np.argmax(alone)), len(signal)):
-            lost = directions * (1.0 - 1.0 / np.sqrt(1.0 + signal[strength]))
+            lost = 1.0 - 1.0 / np.sqrt(1.0 + signal[strength])
             yield float(alone[strength]), partial(_subtract_along, directions, lost)
 
 
 def _subtract_along(directions: Array, lost: Array, columns: Array) -> Array:
-    return np.asarray(columns - lost @ (directions.T @ columns))
+    """Columns, (n,) or (n, m), less shares of what they have along directions, (n, k)."""
+    return np.asarray(columns - directions @ (lost * (columns.T @ directions)).T)
 
 
 def _next_cause(
