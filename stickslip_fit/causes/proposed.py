@@ -231,8 +231,10 @@ class JointTerm(SmoothTerm):
 
     @property
     def _groups(self) -> tuple[tuple[tuple[int, str], ...], ...]:
-        if self.each:
-            return super()._groups
+        return super()._groups if self.each else self._of_joints
+
+    @property
+    def _of_joints(self) -> tuple[tuple[tuple[int, str], ...], ...]:
         joints = dict.fromkeys(joint for joint, _ in self.on)
         return tuple(tuple(one for one in self.on if one[0] == joint) for joint in joints)
 
@@ -301,13 +303,13 @@ class NestedTerm(TravelTerm):
             )
             for place, (own, _, sds) in enumerate(self.parts)
             for session in (self.sessions if own else (None,))
-            for joint, _ in map(_only, self._groups)
+            for joint, _ in map(_only, self._groups or ((),))
             for number, sd in enumerate(sds, 1 + place * len(sds))
         )
 
     @property
     def _groups(self) -> tuple[tuple[tuple[int, str], ...], ...]:
-        return replace(self, each=False)._groups if self.each else super()._groups
+        return self._of_joints
 
     @property
     def for_all(self) -> SmoothTerm:
