@@ -24,7 +24,8 @@ from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, VARIANCE_TOL, compute
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.smooth_alternatives import LENGTHS as CARRIER_LENGTHS
 
-LENGTHS = (0.19, 0.077, 0.038, 0.023)  # of the range of the cosines, which is wider than a travel
+LENGTHS = (0.38, 0.19, 0.077, 0.038, 0.023)  # of the range of the cosines, which is wider than a travel
+N_COARSE = 2  # of these, for carriers with few values and for functions that are looked for with few waves
 SHARES = (0.0, 0.2, 0.5, 0.8, 1.0)
 LEARNING_RATE = 1.0 / 6.0
 MIN_WEIGHT = 0.01  # of a form over that of the likeliest, below which its neighbours are not tried
@@ -40,8 +41,8 @@ def average_forms(term: SmoothTerm, linearized: LinearizedFit, residual: Array) 
     Whitened residuals, shape (n,), weigh them and tell the size of the prior.
     """
     priors = [prior_sds(length) for length in LENGTHS]
-    if len(term.orders) < len(prior_sds(max(CARRIER_LENGTHS))):  # the carrier has few values
-        priors = [priors[0][: len(term.orders)]]
+    if len(term.orders) < len(prior_sds(max(CARRIER_LENGTHS))):
+        priors = [prior[: len(term.orders)] for prior in priors[:N_COARSE]]
     modes: tuple[Mode, ...] = ("same", "opposite") if np.ptp(linearized.direction_sign) else ("same",)
     kinds = list(product((False, True), modes))
     units = (1.0,) * max(map(len, priors))

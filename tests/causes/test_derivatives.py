@@ -57,6 +57,18 @@ def test_a_smooth_function_is_the_logarithm_of_a_factor():
     np.testing.assert_allclose(found, np.where(rows["direction"] == "+", -2.7, 1.3), rtol=1e-9)
 
 
+def test_functions_of_sessions_act_on_all_joints_where_none_is_named():
+    rows = ROWS[ROWS["joint"] == 2]
+    far = SmoothTerm(limits=((0.0, 1e9),), sessions=tuple(dict.fromkeys(ROWS["session"])))
+    term = NestedTerm.of_parts(far, [(True, "same", (0.1,)), (False, "opposite", (0.1,))])
+    assert len(term.parameters) == len(far.sessions) + 1
+    values = np.concatenate(
+        [own_values(rows), np.tile([*range(len(far.sessions)), 0.0], (len(rows), 1))], axis=1
+    )
+    found = extend(LAWS[2], term).predict(rows, values) - LAWS[2].predict(rows, own_values(rows))
+    np.testing.assert_allclose(found, -rows["session"].map(far.sessions.index), rtol=1e-9, atol=1e-9)
+
+
 def test_a_payload_in_a_session_without_rows_changes_nothing_beside_a_smooth_function():
     rows = ROWS[(ROWS["joint"] == 2) & (ROWS["session"] != SECOND)]
     smooth = SmoothTerm(orders=((1,), (2,)), sds=(0.01, 0.01), on=((2, "+"), (2, "-")), each=True)
