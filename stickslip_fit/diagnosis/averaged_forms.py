@@ -77,8 +77,9 @@ class _Forms:
     def __init__(self, effects: Sequence[Array], priors: Sequence[Array], residual: Array, df: int) -> None:
         acts = np.any([np.any(np.abs(one) > EFFECT_TOL, axis=1) for one in effects], axis=0)
         self.priors, self.n_parts, m = priors, len(effects), max(map(len, priors))
-        self.covariances = [[_covariance(one[acts], prior, m) for one in effects] for prior in priors]
-        self.residual, self.along, self.df = residual, residual[acts], df
+        acting = [one[acts].reshape(np.count_nonzero(acts), -1, m) for one in effects]
+        self.by_length = [_find_covariances(acting, prior, residual[acts]) for prior in priors]
+        self.residual, self.df = residual, df
         self.opposite = SHARES if len(effects) == 4 else SHARES[:1]
 
     def average(self) -> Array:
@@ -121,17 +122,28 @@ class _Forms:
 
     def weigh(self, form: Form) -> _Weighed:
         """The size of a form under which the residuals are likeliest."""
-        parts = zip(self.shares(form), self.covariances[form[0]], strict=True)
-        covariance = np.sum([share * part for share, part in parts], axis=0)
+        covariances, residual = self.by_length[form[0]]
+        covariance = np.einsum("p,pij->ij", self.shares(form), covariances)
         variance, directions = np.linalg.eigh(covariance)
         total = float(variance.sum())
+        if total < EFFECT_TOL**2:  # calibration absorbs it
+            return _Weighed(-np.inf, 0.0)
         kept = variance > VARIANCE_TOL * total
-        along = directions[:, kept].T @ self.along
+        along = directions[:, kept].T @ residual
         size = find_strength(along, variance[kept] / total, self.residual, self.df)
         return _Weighed(size.evidence, size.strength**2 * size.noise / total)
 
 
-def _covariance(effects: Array, prior: Array, m: int) -> Array:
-    """Of effects, shape (n, groups m), whose coefficients have these standard deviations, (m,) or fewer."""
-    scaled = (effects.reshape(len(effects), -1, m)[..., : len(prior)] * prior).reshape(len(effects), -1)
-    return np.asarray(scaled @ scaled.T)
+def _find_covariances(effects: Sequence[Array], prior: Array, residual: Array) -> tuple[Array, Array]:
+    """The covariance of the effects of each part, and the residual, shape (n,), along the same axes.
+
+    Effects, each of shape (n, groups, m), of coefficients with these standard deviations, (m,) or fewer. The
+    axes are the rows, or fewer where all effects span fewer.
+    """
+    scaled = [(one[..., : len(prior)] * prior).reshape(len(one), -1) for one in effects]
+    ends = np.cumsum([one.shape[1] for one in scaled])[:-1]
+    columns = np.concatenate(scaled, axis=1)
+    if columns.shape[1] < len(columns):
+        axes, columns = np.linalg.qr(columns)
+        residual = axes.T @ residual
+    return np.stack([own @ own.T for own in np.split(columns, ends, axis=1)]), residual
