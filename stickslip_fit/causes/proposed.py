@@ -8,7 +8,7 @@ follows what the step size of the traverse before had beyond its law.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Literal, Self
@@ -118,12 +118,17 @@ class SmoothTerm(LogLinearFactor):
                 joint=joint,
                 direction=direction,
                 session=session,
-                prior_sd=float(np.sqrt(share)) * sd,
+                prior_sd=sd,
             )
-            for session, share in self._functions_of
-            for joint, direction in map(_only, self._groups if len(self._groups) > 1 else ((),))
-            for number, sd in enumerate(self.sds, 1)
+            for session, (joint, direction), number, sd in self._coefficients()
         )
+
+    def _coefficients(self) -> Iterator[tuple[str | None, tuple[int | None, str | None], int, float]]:
+        """Of each: session, joint and direction, its number there, prior standard deviation."""
+        for session, share in self._functions_of:
+            for only in map(_only, self._groups if len(self._groups) > 1 else ((),)):
+                for number, sd in enumerate(self.sds, 1):
+                    yield session, only, number, float(np.sqrt(share)) * sd
 
     @property
     def _groups(self) -> tuple[tuple[tuple[int, str], ...], ...]:
@@ -286,26 +291,16 @@ class NestedTerm(TravelTerm):
             "mode": "same",
             "each": any(mode == "opposite" for _, mode, _ in parts),
             "common": sum(one for own, one in variances if not own) / sum(one for _, one in variances),
+            "parts": tuple(parts),
         }
-        return cls(**shared, parts=tuple(parts))
+        return cls(**shared)
 
-    @cached_property
-    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
-        return tuple(
-            CauseParameter(
-                f"c{number}",
-                "%",
-                f"coefficient {number} of a smooth function of {self.carriers[0]}",
-                joint=joint,
-                session=session,
-                prior_sd=sd,
-            )
-            for place, (own, _, sds) in enumerate(self.parts)
-            for session in (self.sessions if own else (None,))
-            for joint, _ in map(_only, self._groups or ((),))
-            for number, sd in enumerate(sds, 1 + place * len(sds))
-        )
+    def _coefficients(self) -> Iterator[tuple[str | None, tuple[int | None, str | None], int, float]]:
+        for place, (own, _, sds) in enumerate(self.parts):
+            for session in self.sessions if own else (None,):
+                for group in self._groups or ((),):
+                    for number, sd in enumerate(sds, 1 + place * len(sds)):
+                        yield session, (_only(group)[0], None), number, sd
 
     @property
     def _groups(self) -> tuple[tuple[tuple[int, str], ...], ...]:
@@ -319,7 +314,7 @@ class NestedTerm(TravelTerm):
     def with_amplitude(self, amplitude: float) -> Self:
         """See `SmoothTerm.with_amplitude`."""
         parts = [(own, mode, tuple(amplitude * sd for sd in sds)) for own, mode, sds in self.parts]
-        return replace(self, parts=tuple(parts))
+        return self.of_parts(self, parts)
 
     def acts(self, state: State) -> Array:
         """See `LinearFactor.acts`."""

@@ -59,18 +59,20 @@ class LikeliestStrength:
     noise: float
 
 
-def find_strength(along: Array, share: Array, residual: Array, df: int) -> LikeliestStrength:
-    """The likeliest of `WIDE_STRENGTHS` of an effect, the size of the noise estimated with it.
+def find_strength(
+    along: Array, share: Array, residual: Array, df: int, strengths: Array = WIDE_STRENGTHS
+) -> LikeliestStrength:
+    """The likeliest of some strengths of an effect, the size of the noise estimated with it.
 
     `along` are the coefficients of a whitened residual, shape (n,), along the effect's directions, whose
     prior shares are given, both of shape (m,).
     """
-    signal = WIDE_STRENGTHS[:, None] ** 2 * share
+    signal = strengths[:, None] ** 2 * share
     evidence = strength_evidence(signal, along, residual, df)
     best = int(np.argmax(evidence))
     explained = (signal[best] / (1.0 + signal[best])) @ along**2
     noise = max(float(residual @ residual - explained), 0.0) / df
-    return LikeliestStrength(float(evidence[best]), float(WIDE_STRENGTHS[best]), noise)
+    return LikeliestStrength(float(evidence[best]), float(strengths[best]), noise)
 
 
 def column_evidence(columns: Array, residual: Array, df: int, one_sided: BoolArray) -> Array:

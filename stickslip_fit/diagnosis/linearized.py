@@ -326,10 +326,9 @@ def linearize_fit(
         common, prior_sd = common[:, kept], prior_sd[~at_bound]
     if prior_sd is not None and np.isfinite(prior_sd).any():
         common = _keep_determined(common, basis, prior_sd)
-    known = tuple(parts), scale, residual, basis, tuple(blocks), noise_filter, common, basis.shape[1]
+    known = tuple(parts), scale, residual, basis, tuple(blocks), noise_filter, common[:, :0], basis.shape[1]
     linearized = LinearizedFit(rows, *known)
-    linearized = replace(linearized, residual=linearized.project(residual))
-    return linearized.absorb(common[:, :0])
+    return replace(linearized, residual=linearized.project(residual)).absorb(common)
 
 
 def _keep_determined(common: Array, basis: csr_array, prior_sd: Array) -> Array:

@@ -43,8 +43,8 @@ from stickslip_fit.diagnosis.evidence import (
     MAX_EXPLAINED,
     STRENGTHS,
     batch_hypotheses,
+    find_strength,
     log_likelihood_ratio,
-    strength_evidence,
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
@@ -106,9 +106,9 @@ def remove_structure(
         return StructureRemoved(residual, zeros)
     if isinstance(shape, AR1):
         return StructureRemoved(residual - shape.shape(residual), zeros, float(log_evidence[best]))
-    along, signal = shape.coefficients(residual), FINE_STRENGTHS[:, None] ** 2 * shape.prior_share
-    kept = signal[int(np.argmax(strength_evidence(signal, along, residual, df)))]
-    kept = kept / (1.0 + kept)
+    along, share = shape.coefficients(residual), shape.prior_share
+    signal = find_strength(along, share, residual, df, FINE_STRENGTHS).strength ** 2 * share
+    kept = signal / (1.0 + signal)
     left = residual - shape.combine(kept * along)
     return StructureRemoved(left, shape.leverage(kept), float(log_evidence[best]))
 
