@@ -22,9 +22,11 @@ from stickslip_fit.causes.smooth import MIN_PRIOR_SD, prior_sds
 from stickslip_fit.diagnosis.evidence import find_strength
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, VARIANCE_TOL, compute_effects
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.smooth_alternatives import BEYOND
 from stickslip_fit.diagnosis.smooth_alternatives import LENGTHS as CARRIER_LENGTHS
 
-LENGTHS = (0.38, 0.19, 0.077, 0.038, 0.023)  # of the range of the cosines, which is wider than a travel
+# Of a travel, as shares of the range of its cosines, which is wider.
+LENGTHS = tuple(length / (1.0 + 2.0 * BEYOND) for length in (0.5, 0.25, 0.1, 0.05, 0.03))
 N_COARSE = 2  # of these, for carriers with few values and for functions that are looked for with few waves
 SHARES = (0.0, 0.2, 0.5, 0.8, 1.0)
 LEARNING_RATE = 1.0 / 6.0
