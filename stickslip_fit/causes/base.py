@@ -283,6 +283,14 @@ class FactorCause(Cause):
         """Derivatives of the factor, shape (n, k, q) or (n, 1, q); None for central differences."""
         return None
 
+    def factor_of(self, state: State, values: Array) -> Array:
+        """As `factor`, from values of shape (n, q): of many parameters a list takes long."""
+        return self.factor(state, _split(values))
+
+    def factor_slopes_of(self, state: State, values: Array) -> Array | None:
+        """As `factor_slopes`, from values of shape (n, q)."""
+        return self.factor_slopes(state, _split(values))
+
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: a factor that is constant along a traverse divides its steps."""
         before, row = extend(law), self.row_values(law, rows)
@@ -389,7 +397,7 @@ class ExtendedLaw(StepLaw):
         factor = _multiply(factors, values)
         by_law, slopes = self.law.gamma_slopes(true, law_values), dict[int, Array]()
         for (cause, columns), free in zip(self.by_stage[TermCause], self._free(true, values), strict=True):
-            by_free, by_own = cause.term_slopes(free, true, _split(values, columns))
+            by_free, by_own = cause.term_slopes(free, true, _split(_own(values, columns)))
             by_law = by_law + by_free[..., None] * self.law.gamma_slopes(cause.unload(true), law_values)
             slopes |= {k: (own * factor)[..., None] for k, own in zip(columns, by_own, strict=True)}
         slopes[0] = by_law * factor[..., None]
@@ -411,21 +419,21 @@ class ExtendedLaw(StepLaw):
     def true_state(self, state: State, values: Array) -> State:
         """The state under the causes, stage by stage."""
         for cause, columns in self.by_stage[StateCause]:
-            state = cause.change(state, _split(values, columns))
+            state = cause.change(state, _split(_own(values, columns)))
         return state
 
     def steps_added(self, state: State, values: Array) -> Array:
         """Steps that count causes add to each traverse, shape (n,); `state` where it begins."""
         added = np.zeros(len(values))
         for cause, columns in self.by_stage[CountCause]:
-            added += cause.steps(state, _split(values, columns))[:, 0]
+            added += cause.steps(state, _split(_own(values, columns)))[:, 0]
         return added
 
     def _before_factors(self, true: State, values: Array) -> Array:
         """The law and the terms added to it."""
         gamma = self.law.gamma(true, values[:, : len(self.law.parameters)])
         for (cause, columns), free in zip(self.by_stage[TermCause], self._free(true, values), strict=True):
-            gamma = gamma + cause.term(free, true, _split(values, columns))
+            gamma = gamma + cause.term(free, true, _split(_own(values, columns)))
         return gamma
 
     def _free(self, true: State, values: Array) -> list[Array]:
@@ -439,14 +447,14 @@ class ExtendedLaw(StepLaw):
 
     def _factors(self, true: State, values: Array) -> list[Array]:
         active = self.by_stage[FactorCause]
-        return [cause.factor(true, _split(values, columns)) for cause, columns in active]
+        return [cause.factor_of(true, _own(values, columns)) for cause, columns in active]
 
     def _factor_slopes(self, place: int, true: State, values: Array, factors: list[Array]) -> Array:
         """Derivatives of all factors together by the parameters of one of them, (n, k or 1, q)."""
         cause, columns = self.by_stage[FactorCause][place]
-        own = cause.factor_slopes(true, _split(values, columns))
+        own = cause.factor_slopes_of(true, _own(values, columns))
         if own is None:
-            factor = lambda shifted: cause.factor(true, _split(shifted, columns))  # noqa: E731
+            factor = lambda shifted: cause.factor_of(true, _own(shifted, columns))  # noqa: E731
             own = np.stack([self.difference(factor, values, k) for k in columns], axis=-1)
         others = [one for one in factors if one is not factors[place]]
         return np.asarray(reduce(lambda slopes, other: slopes * other[..., None], others, own))
@@ -477,7 +485,7 @@ class ExtendedLaw(StepLaw):
 
     def panel(self, values: Array) -> float:
         """`max_panel` for given values, shape (n, p)."""
-        own = ((cause, values[:, columns.start : columns.stop]) for cause, columns in self.active_causes)
+        own = ((cause, _own(values, columns)) for cause, columns in self.active_causes)
         return min([self.law.max_panel, *(cause.panel(some, self.joint) for cause, some in own)])
 
     @cached_property
@@ -547,7 +555,7 @@ class ExtendedLaw(StepLaw):
         """Log steps by which counts are off, (n, p) and (n, 3) -> (n,); see `EndStopMisfire.departures`."""
         deviation = np.zeros(len(values))
         for cause, columns in self.active_causes:
-            deviation += cause.misfire_deviations(values[:, columns.start : columns.stop], misfire_draws)
+            deviation += cause.misfire_deviations(_own(values, columns), misfire_draws)
         return deviation
 
     def start_values(self, mean_step: Array) -> Array:
@@ -577,9 +585,14 @@ class ExtendedLaw(StepLaw):
         return counts + added(values), slopes
 
 
-def _split(values: Array, columns: range) -> list[Array]:
-    """A cause's own values, each of shape (n, 1)."""
-    return [values[:, k, None] for k in columns]
+def _own(values: Array, columns: range) -> Array:
+    """A cause's own values, shape (n, q)."""
+    return values[:, columns.start : columns.stop]
+
+
+def _split(values: Array) -> list[Array]:
+    """Values of shape (n, q), each of shape (n, 1)."""
+    return list(values.T[:, :, None])
 
 
 def _multiply(factors: Iterable[Array], values: Array) -> Array:

@@ -164,25 +164,28 @@ class SmoothTerm(LogLinearFactor):
         """See `LinearFactor.functions`."""
         values = np.broadcast_arrays(*(carrier_values(state, carrier) for carrier in self.carriers))
         waves = self.waves(values, self.limits_of(state.joint))
-        return np.nan_to_num(wave_products(waves, self.orders)) * _sign(state, self.mode)[..., None]
+        return np.nan_to_num(wave_products(waves, self.orders))
 
     def null_slopes(self, law: StepLaw, rows: Row, values: Array) -> Array:
         """See `LinearFactor.null_slopes`: of one function for all, where each acts."""
-        if not self.on and not self.sessions:
+        if self == self.for_all:
             return super().null_slopes(law, rows, values)
+        return self.from_alike(law, rows, self.for_all.null_slopes(law, rows, values))
+
+    def from_alike(self, law: StepLaw, rows: Row, alike: Array) -> Array:
+        """Derivatives by each parameter, (n, q), from those of one function for all, (n, m)."""
         row = self.row_values(law, rows)
         acts = self.acts(state_at(law.joint, row, row["start"][:, None]))
-        alike = self.for_all.null_slopes(law, rows, values)
-        return (acts[:, :, None] * alike[:, None, :]).reshape(len(acts), -1)
+        return np.asarray((acts[:, :, None] * alike[:, None, :]).reshape(len(acts), -1))
 
     @property
     def for_all(self) -> SmoothTerm:
-        """The same without functions of any session, joint or direction of their own."""
-        return replace(self, on=(), each=False, sessions=())
+        """The same with one function for all, of one sign."""
+        return replace(self, on=(), mode="same", each=False, sessions=(), common=0.0)
 
     def acts(self, state: State) -> Array:
         """See `LinearFactor.acts`: of each session, joint and direction with functions of its own."""
-        acts = self._of_groups(state)
+        acts = self._of_groups(state) * _sign(state, self.mode)
         if not self.sessions:
             return acts
         own = self._of_sessions(state, acts)

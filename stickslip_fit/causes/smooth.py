@@ -114,23 +114,36 @@ class LinearFactor(FactorCause):
         """What the parameters are the coefficients of, shape (n, k, m) or (n, 1, m)."""
 
     def acts(self, state: State) -> Array:
-        """For which traverses these have parameters of their own, 1 or 0: q = g m of them, shape (n, g)."""
+        """By which sign these act on each traverse, 0 where they do not: q = g m parameters, shape (n, g)."""
         return np.ones((len(state.position), 1))
 
     def factor(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor`."""
-        return 1.0 + self.linear_sum(state, values)
+        return self.factor_of(state, np.concatenate(values, axis=1))
 
-    def linear_sum(self, state: State, values: list[Array]) -> Array:
+    def factor_of(self, state: State, values: Array) -> Array:
+        """See `FactorCause.factor_of`."""
+        return self.of_sum(self.linear_sum(state, values))[0]
+
+    def of_sum(self, total: Array) -> tuple[Array, Array | float]:
+        """The factor from the sum of each parameter times its function, and its derivative by that sum."""
+        return 1.0 + total, 1.0
+
+    def linear_sum(self, state: State, values: Array) -> Array:
         """The sum of each parameter times its function, shape (n, k) or (n, 1)."""
         functions, acts = self._functions_in(state)
-        each = np.concatenate(values, axis=1).reshape(*acts.shape, functions.shape[2])
+        each = values.reshape(*acts.shape, functions.shape[2])
         return np.asarray(np.einsum("nkm,nm->nk", functions, np.einsum("ng,ngm->nm", acts, each)))
 
     def factor_slopes(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor_slopes`."""
+        return self.factor_slopes_of(state, np.concatenate(values, axis=1))
+
+    def factor_slopes_of(self, state: State, values: Array) -> Array:
+        """See `FactorCause.factor_slopes_of`."""
         functions, acts = self._functions_in(state)
-        slopes = functions[:, :, None, :] * acts[:, None, :, None]
+        by_sum = np.asarray(self.of_sum(self.linear_sum(state, values))[1])[..., None]
+        slopes = (functions * by_sum)[:, :, None, :] * acts[:, None, :, None]
         return slopes.reshape(*functions.shape[:2], acts.shape[1] * functions.shape[2])
 
     def _functions_in(self, state: State) -> tuple[Array, Array]:
@@ -164,10 +177,7 @@ class LogLinearFactor(LinearFactor):
     Of a motor whose steps differ by half from place to place a sum has other errors where steps are small.
     """
 
-    def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
-        return np.exp(np.minimum(self.linear_sum(state, values), MAX_LOG))
-
-    def factor_slopes(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor_slopes`."""
-        return super().factor_slopes(state, values) * self.factor(state, values)[..., None]
+    def of_sum(self, total: Array) -> tuple[Array, Array]:
+        """See `LinearFactor.of_sum`."""
+        factor = np.exp(np.minimum(total, MAX_LOG))
+        return factor, factor

@@ -11,7 +11,7 @@ import numpy as np
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.friction import StageCause
 from stickslip_fit.causes.periodic import PeriodicTime
-from stickslip_fit.causes.proposed import CarryOverTerm
+from stickslip_fit.causes.proposed import CarryOverTerm, SmoothTerm
 from stickslip_fit.causes.table_terms import PREDICTION
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes
 from stickslip_fit.diagnosis.cause_set import CauseSet
@@ -275,14 +275,32 @@ def _unknown_forms(linearized: LinearizedFit, selected: SelectedCause) -> Array:
         for one in (misfit.best_subspace(UNKNOWN), *misfit.hypotheses)
         if carriers == set(getattr(one.version, "carriers", ())) and not hasattr(one.version, "period")
     ]
-    columns = []
+    columns, alike = [], dict[SmoothTerm, Array]()
     for one in dict.fromkeys([version, *others]):
-        for _, trials in one.trials(linearized.rows):
-            effects = linearized.whiten(compute_changes(linearized, one, trials))
+        changes = (
+            [_changes_of_smooth(linearized, one, alike)]
+            if isinstance(one, SmoothTerm)
+            else [compute_changes(linearized, one, trials) for _, trials in one.trials(linearized.rows)]
+        )
+        for effects in map(linearized.whiten, changes):
             columns.append(effects / np.maximum(np.linalg.norm(effects, axis=0), EFFECT_TOL))
     left, singular, _ = np.linalg.svd(np.concatenate(columns, axis=1), full_matrices=False)
     most = max(len(linearized) // ROWS_PER_FORM, 1)
     return left[:, singular > MIN_FORM_LENGTH][:, :most]
+
+
+def _changes_of_smooth(linearized: LinearizedFit, term: SmoothTerm, alike: dict[SmoothTerm, Array]) -> Array:
+    """Change of every response by each parameter, shape (n, q).
+
+    Many terms differ in where they act only: `alike` keeps those of one function for all.
+    """
+    shared = replace(term.for_all, sds=(1.0,) * len(term.orders))
+    if shared not in alike:
+        alike[shared] = compute_changes(linearized, shared, np.eye(len(term.orders)))
+    changes = np.zeros((len(linearized), len(term.parameters)))
+    for part, table in zip(linearized.parts, linearized.tables, strict=True):
+        changes[part.rows] = term.from_alike(part.law, table, alike[shared][part.rows])
+    return changes
 
 
 def compute_evidence(

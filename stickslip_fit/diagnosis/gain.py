@@ -190,7 +190,11 @@ def estimate_gains(
         rng = np.random.default_rng([searches.seed, 1])
         campaign = replace(_linearize_campaign(selection, extending, searches.alpha), recolour=recolour)
         kept = [splits for splits, _ in held_out]
-        less = [[beyond(extending, split) for split in splits] for splits in kept] if beyond else None
+        less = None
+        if beyond:
+            less = [[beyond(extending, split) for split in splits] for splits in kept]
+        else:
+            campaign = campaign.by_seen_directions()
         limits = simulate_gain_intervals(campaign, kept, np.stack(rms), rng, beyond=less)
     else:
         held_out = [(splits, _baseline_errors(selection, splits, recolour)[None]) for splits in sets]

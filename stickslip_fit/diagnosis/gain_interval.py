@@ -20,6 +20,7 @@ from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.cross_validation import Split
 from stickslip_fit.diagnosis.evidence import log_likelihood_ratio
+from stickslip_fit.diagnosis.linearized import MIN_EFFECT, seen_directions
 from stickslip_fit.units import Z_95
 
 Recolouring = Callable[[Array], Array]
@@ -94,6 +95,15 @@ class LinearizedCampaign:
     thresholds: Array
     competing_causes: tuple[CompetingCauses, ...]
     recolour: Recolouring = keep_columns
+
+    def by_seen_directions(self) -> LinearizedCampaign:
+        """The same with fewer parameters of causes that have more of them, all with a prior, than rows."""
+        slopes, penalties = list(self.slopes), list(self.penalties)
+        for number, (own, inverse) in enumerate(zip(slopes, penalties, strict=True)):
+            if len(own) < own.shape[1] and inverse.all():
+                slopes[number] = own / inverse @ seen_directions(own / inverse, MIN_EFFECT)
+                penalties[number] = np.ones(slopes[number].shape[1])
+        return replace(self, slopes=tuple(slopes), penalties=tuple(penalties))
 
     @cached_property
     def columns(self) -> Array:

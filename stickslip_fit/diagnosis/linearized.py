@@ -29,6 +29,7 @@ RowChanges = tuple[IntArray, Array]
 RANK_TOL = 1e-6  # singular values of a block's Jacobian, relative to the largest
 MAX_LEVERAGE = 0.8  # for division by 1 - leverage: residuals of rows above it are mostly rounding
 EXACT_TOL = 1e-3  # standard deviations, less than which is rounding
+MIN_EFFECT = 1e-3  # standard deviations of the noise, of a direction of parameters that the rows see
 OFFSET_TOL = 3e-3  # standard errors before the last step
 # Of a fit. Causes that cannot do what the data ask for creep to the end of the law's domain.
 MAX_STEPS, LEAST_FALL = 100, 0.01
@@ -336,9 +337,18 @@ def _keep_determined(common: Array, basis: csr_array, prior_sd: Array) -> Array:
     penalised = np.flatnonzero(np.isfinite(prior_sd)) + common.shape[1] - len(prior_sd)
     scaled = common[:, penalised] * prior_sd[np.isfinite(prior_sd)]
     projected = scaled - basis @ (basis.T @ scaled)
-    information, right = np.linalg.eigh(projected.T @ projected)
     free = np.delete(common, penalised, axis=1)
-    return np.concatenate([free, scaled @ right[:, information > 1.0]], axis=1)
+    return np.concatenate([free, scaled @ seen_directions(projected, 1.0)], axis=1)
+
+
+def seen_directions(effects: Array, least: float) -> Array:
+    """Orthonormal directions of q unit parameters whose effect, by (n, q), is longer than `least`; (q, r)."""
+    if len(effects) >= effects.shape[1]:
+        squares, axes = np.linalg.eigh(effects.T @ effects)
+        return np.asarray(axes[:, squares > least**2])
+    squares, left = np.linalg.eigh(effects @ effects.T)
+    kept = squares > least**2
+    return np.asarray(effects.T @ (left[:, kept] / np.sqrt(squares[kept])))
 
 
 def split_positions(kinds: npt.NDArray[np.integer[Any]]) -> list[IntArray]:

@@ -26,7 +26,6 @@ from stickslip_fit.diagnosis.linearized import (
     LawBlock,
     LinearizedFit,
     RowChanges,
-    fit_extended,
     linearize_fit,
     select_parts,
     whiten,
@@ -35,6 +34,7 @@ from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import StructureRemoved
 from stickslip_fit.diagnosis.noise import MIN_SD, NoiseEstimate, estimate_noise
 from stickslip_fit.diagnosis.noise_shape import Quantization, Skewness, find_count_spacing
+from stickslip_fit.diagnosis.penalized_fit import fit_penalized
 from stickslip_fit.estimation._groups import usable_rows
 from stickslip_fit.estimation.drive_ratio import ratio_changes
 from stickslip_fit.estimation.least_squares import fit_joint
@@ -251,7 +251,7 @@ class DiagnosisProblem:
         return best
 
     def _fit(self, versions: Sequence[Any], start: Array) -> ExtendedFit:
-        return fit_extended(
+        return fit_penalized(
             self.rows,
             self.parts,
             self.responses,

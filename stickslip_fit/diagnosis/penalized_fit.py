@@ -1,0 +1,229 @@
+"""Laws fitted together with smooth functions that have more coefficients than the log has rows.
+
+To first order n rows see at most n directions of a function's coefficients, those of its slopes; along all
+others the penalty alone decides, and leaves them at zero. The fit is therefore for the coefficients of these
+directions, and found anew about its own minimum until the directions stay (the representer theorem, G.
+Kimeldorf and G. Wahba, J. Math. Anal. Appl. 33:82, 1971, applied step by step as in Gauss-Newton).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.linalg import block_diag
+from scipy.sparse import csr_array
+
+from stickslip_fit._rows import unique_rows
+from stickslip_fit._typing import Array
+from stickslip_fit.causes.parameters import CauseParameter, Row
+from stickslip_fit.causes.smooth import LinearFactor
+from stickslip_fit.diagnosis.linearized import (
+    MIN_EFFECT,
+    ExtendedFit,
+    LawBlock,
+    RowSubset,
+    fit_extended,
+    seen_directions,
+    split_positions,
+    whiten,
+)
+from stickslip_fit.laws import State, StepLaw
+
+MIN_COEFFICIENTS = 40  # of a function, with fewer of which all are fitted
+MAX_ROUNDS = 6
+MAX_OUTSIDE = 1e-2  # prior standard deviations by which coefficients may lie outside the directions
+
+
+@dataclass(frozen=True, eq=False)
+class PartialFactor(LinearFactor):
+    """A factor with smooth functions, along some directions of its coefficients.
+
+    Attributes
+    ----------
+    whole : LinearFactor
+        With q coefficients.
+    directions : array, shape (q, r)
+        Coefficients of `whole` for each unit parameter, whose prior standard deviation is 1.
+    """
+
+    whole: LinearFactor
+    directions: Array
+
+    name = "partial-factor"
+
+    @cached_property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return tuple(
+            CauseParameter(f"d{number}", "1", "", prior_sd=1.0) for number in range(self.directions.shape[1])
+        )
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (1.0,) * self.directions.shape[1]
+
+    @property
+    def columns(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return self.whole.columns
+
+    @property
+    def varies_along_traverse(self) -> bool:  # type: ignore[override]
+        """See `Cause`."""
+        return self.whole.varies_along_traverse
+
+    def acts_on(self, law: StepLaw) -> bool:
+        """See `Cause.acts_on`."""
+        return self.whole.acts_on(law)
+
+    def panel(self, values: Array, joint: int) -> float:
+        """See `Cause.panel`."""
+        return self.whole.panel(values @ self.directions.T, joint)
+
+    def row_values(self, law: StepLaw, rows: Row) -> dict[str, Any]:
+        """See `Cause.row_values`."""
+        return self.whole.row_values(law, rows)
+
+    def functions(self, state: State) -> Array:
+        """See `LinearFactor.functions`."""
+        functions, acts = self.whole.functions(state), self.whole.acts(state)
+        directions = self.directions.reshape(acts.shape[1], functions.shape[2], -1)
+        combined = np.empty((*functions.shape[:2], directions.shape[2]))
+        ways, of_row = unique_rows(acts)
+        for way, places in zip(ways, split_positions(of_row), strict=True):
+            combined[places] = functions[places] @ np.tensordot(way, directions, 1)
+        return combined
+
+    def of_sum(self, total: Array) -> tuple[Array, Array | float]:
+        """See `LinearFactor.of_sum`."""
+        return self.whole.of_sum(total)
+
+
+def fit_penalized(
+    rows: pd.DataFrame,
+    parts: Sequence[LawBlock],
+    responses: Array,
+    scale: Array,
+    causes: Sequence[Any],
+    start: Array,
+    *,
+    n_shared: int = 0,
+    noise_filter: csr_array | None = None,
+) -> ExtendedFit:
+    """As `fit_extended`; smooth functions of many coefficients along the directions that the rows see."""
+    options: Any = {"n_shared": n_shared, "noise_filter": noise_filter}
+    if not any(map(_has_many, causes)):
+        return fit_extended(rows, parts, responses, scale, causes, start, **options)
+    values, before = start, parts
+    for _ in range(MAX_ROUNDS):
+        slopes = _find_slopes(rows, before, causes, values)
+        if not np.isfinite(slopes).all():
+            return fit_extended(rows, parts, responses, scale, causes, start, **options)
+        seen = _find_directions(causes, whiten(slopes, scale, noise_filter))
+        first = seen.project(values)
+        if before is not parts and np.linalg.norm((values - seen.expand(first)) / seen.units) < MAX_OUTSIDE:
+            break
+        fit = fit_extended(rows, before, responses, scale, seen.causes, first, **options)
+        values, found = seen.expand(fit.values), seen
+        before = [
+            replace(part, values=fitted.values[:, : part.values.shape[1]])
+            for part, fitted in zip(parts, fit.parts, strict=True)
+        ]
+    return found.complete(fit, values, causes, before)
+
+
+@dataclass(frozen=True, eq=False)
+class _Directions:
+    """Causes of q parameters in all, along r directions of these.
+
+    Attributes
+    ----------
+    causes : tuple of Cause
+        With r parameters in all.
+    axes : array, shape (q, r)
+        Orthonormal, of the parameters in their units.
+    units : array, shape (q,)
+        Prior standard deviations of the parameters of which not every direction is here, 1 for others.
+    """
+
+    causes: tuple[Any, ...]
+    axes: Array
+    units: Array
+
+    def project(self, values: Array) -> Array:
+        """Parameters along the directions, (q,) -> (r,)."""
+        return self.axes.T @ (values / self.units)
+
+    def expand(self, values: Array) -> Array:
+        """All parameters, (r,) -> (q,)."""
+        return self.units * (self.axes @ values)
+
+    def complete(
+        self, fit: ExtendedFit, values: Array, causes: Sequence[Any], parts: Sequence[LawBlock]
+    ) -> ExtendedFit:
+        """The fit as one of all parameters: what the rows do not see is as the prior has it."""
+        unseen = np.eye(len(self.axes)) - self.axes @ self.axes.T
+        covariance = (self.axes @ fit.covariance @ self.axes.T + unseen) * np.outer(self.units, self.units)
+        return ExtendedFit(
+            _extend(parts, causes, values),
+            values,
+            covariance,
+            fit.residual,
+            fit.converged,
+            np.array([parameter.prior_sd for cause in causes for parameter in cause.parameters]),
+            (np.abs(self.axes) > 0) @ fit.at_bound > 0,
+        )
+
+
+def _has_many(cause: Any) -> bool:
+    """Whether a cause is fitted along some directions of its coefficients."""
+    many = isinstance(cause, LinearFactor) and len(cause.parameters) >= MIN_COEFFICIENTS
+    return many and all(np.isfinite(parameter.prior_sd) for parameter in cause.parameters)
+
+
+def _extend(parts: Sequence[LawBlock], causes: Sequence[Any], values: Array) -> tuple[LawBlock, ...]:
+    """Laws with causes in them, whose parameters are `values`, shape (q,)."""
+    return tuple(
+        replace(
+            part,
+            law=reduce(lambda law, cause: cause.extend(law), causes, part.law),
+            values=np.column_stack([part.values, np.tile(values, (len(part.values), 1))]),
+        )
+        for part in parts
+    )
+
+
+def _find_slopes(
+    rows: pd.DataFrame, parts: Sequence[LawBlock], causes: Sequence[Any], values: Array
+) -> Array:
+    """Derivatives of the responses by the causes' parameters, shape (n, q)."""
+    slopes = np.empty((len(rows), len(values)))
+    for part in _extend(parts, causes, values):
+        with np.errstate(all="ignore"):
+            own = part.law.model(RowSubset(rows, part.rows))(part.values)[1]
+        slopes[part.rows] = own[:, own.shape[1] - len(values) :]
+    return slopes
+
+
+def _find_directions(causes: Sequence[Any], slopes: Array) -> _Directions:
+    """The directions of smooth functions' coefficients that whitened slopes, shape (n, q), see."""
+    fewer, axes, units, first = [], [], [], 0
+    for cause in causes:
+        own = slopes[:, first : first + len(cause.parameters)]
+        first += len(cause.parameters)
+        if not _has_many(cause):
+            fewer.append(cause)
+            axes.append(np.eye(own.shape[1]))
+            units.append(np.ones(own.shape[1]))
+            continue
+        units.append(np.array([parameter.prior_sd for parameter in cause.parameters]))
+        effects = own * units[-1]
+        axes.append(seen_directions(effects[np.any(effects, axis=1)], MIN_EFFECT))
+        fewer.append(PartialFactor(cause, units[-1][:, None] * axes[-1]))
+    return _Directions(tuple(fewer), block_diag(*axes), np.concatenate(units))
