@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property, partial, reduce
+from math import prod
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -285,11 +286,11 @@ class FactorCause(Cause):
 
     def factor_of(self, state: State, values: Array) -> Array:
         """As `factor`, from values of shape (n, q): of many parameters a list takes long."""
-        return self.factor(state, _split(values))
+        return self.factor(state, list(values.T[:, :, None]))
 
     def factor_slopes_of(self, state: State, values: Array) -> Array | None:
         """As `factor_slopes`, from values of shape (n, q)."""
-        return self.factor_slopes(state, _split(values))
+        return self.factor_slopes(state, list(values.T[:, :, None]))
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: a factor that is constant along a traverse divides its steps."""
@@ -388,16 +389,16 @@ class ExtendedLaw(StepLaw):
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
         true = self.true_state(state, values)
-        return self._before_factors(true, values) * _multiply(self._factors(true, values), values)
+        return prod(self._factors(true, values), start=self._before_factors(true, values))
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma_slopes`; by the causes' parameters from central differences."""
         true, law_values = self.true_state(state, values), values[:, : len(self.law.parameters)]
         before, factors = self._before_factors(true, values), self._factors(true, values)
-        factor = _multiply(factors, values)
+        factor = prod(factors, start=np.ones((len(values), 1)))
         by_law, slopes = self.law.gamma_slopes(true, law_values), dict[int, Array]()
         for (cause, columns), free in zip(self.by_stage[TermCause], self._free(true, values), strict=True):
-            by_free, by_own = cause.term_slopes(free, true, _split(_own(values, columns)))
+            by_free, by_own = cause.term_slopes(free, true, _split(values, columns))
             by_law = by_law + by_free[..., None] * self.law.gamma_slopes(cause.unload(true), law_values)
             slopes |= {k: (own * factor)[..., None] for k, own in zip(columns, by_own, strict=True)}
         slopes[0] = by_law * factor[..., None]
@@ -419,22 +420,20 @@ class ExtendedLaw(StepLaw):
     def true_state(self, state: State, values: Array) -> State:
         """The state under the causes, stage by stage."""
         for cause, columns in self.by_stage[StateCause]:
-            state = cause.change(state, _split(_own(values, columns)))
+            state = cause.change(state, _split(values, columns))
         return state
 
     def steps_added(self, state: State, values: Array) -> Array:
         """Steps that count causes add to each traverse, shape (n,); `state` where it begins."""
-        added = np.zeros(len(values))
-        for cause, columns in self.by_stage[CountCause]:
-            added += cause.steps(state, _split(_own(values, columns)))[:, 0]
-        return added
+        active = self.by_stage[CountCause]
+        added = (cause.steps(state, _split(values, columns))[:, 0] for cause, columns in active)
+        return sum(added, start=np.zeros(len(values)))
 
     def _before_factors(self, true: State, values: Array) -> Array:
         """The law and the terms added to it."""
-        gamma = self.law.gamma(true, values[:, : len(self.law.parameters)])
-        for (cause, columns), free in zip(self.by_stage[TermCause], self._free(true, values), strict=True):
-            gamma = gamma + cause.term(free, true, _split(_own(values, columns)))
-        return gamma
+        active = zip(self.by_stage[TermCause], self._free(true, values), strict=True)
+        terms = [cause.term(free, true, _split(values, columns)) for (cause, columns), free in active]
+        return sum(terms, start=self.law.gamma(true, values[:, : len(self.law.parameters)]))
 
     def _free(self, true: State, values: Array) -> list[Array]:
         """What each term has as the law's step size without load."""
@@ -446,15 +445,15 @@ class ExtendedLaw(StepLaw):
         return bool(self.affects_joint[k]) and not self.cause_parameters[k - len(self.law.parameters)].sudden
 
     def _factors(self, true: State, values: Array) -> list[Array]:
-        active = self.by_stage[FactorCause]
-        return [cause.factor_of(true, _own(values, columns)) for cause, columns in active]
+        active = ((cause, values[:, own.start : own.stop]) for cause, own in self.by_stage[FactorCause])
+        return [cause.factor_of(true, own) for cause, own in active]
 
     def _factor_slopes(self, place: int, true: State, values: Array, factors: list[Array]) -> Array:
         """Derivatives of all factors together by the parameters of one of them, (n, k or 1, q)."""
         cause, columns = self.by_stage[FactorCause][place]
-        own = cause.factor_slopes_of(true, _own(values, columns))
+        own = cause.factor_slopes_of(true, values[:, columns.start : columns.stop])
         if own is None:
-            factor = lambda shifted: cause.factor_of(true, _own(shifted, columns))  # noqa: E731
+            factor = lambda shifted: cause.factor_of(true, shifted[:, columns.start : columns.stop])  # noqa: E731
             own = np.stack([self.difference(factor, values, k) for k in columns], axis=-1)
         others = [one for one in factors if one is not factors[place]]
         return np.asarray(reduce(lambda slopes, other: slopes * other[..., None], others, own))
@@ -485,7 +484,7 @@ class ExtendedLaw(StepLaw):
 
     def panel(self, values: Array) -> float:
         """`max_panel` for given values, shape (n, p)."""
-        own = ((cause, _own(values, columns)) for cause, columns in self.active_causes)
+        own = ((cause, values[:, columns.start : columns.stop]) for cause, columns in self.active_causes)
         return min([self.law.max_panel, *(cause.panel(some, self.joint) for cause, some in own)])
 
     @cached_property
@@ -553,10 +552,9 @@ class ExtendedLaw(StepLaw):
 
     def misfire_deviations(self, values: Array, misfire_draws: Array) -> Array:
         """Log steps by which counts are off, (n, p) and (n, 3) -> (n,); see `EndStopMisfire.departures`."""
-        deviation = np.zeros(len(values))
-        for cause, columns in self.active_causes:
-            deviation += cause.misfire_deviations(_own(values, columns), misfire_draws)
-        return deviation
+        own = ((cause, values[:, columns.start : columns.stop]) for cause, columns in self.active_causes)
+        deviations = (cause.misfire_deviations(some, misfire_draws) for cause, some in own)
+        return sum(deviations, start=np.zeros(len(values)))
 
     def start_values(self, mean_step: Array) -> Array:
         """See `StepLaw.start_values`: the law's own, with the causes absent."""
@@ -585,18 +583,9 @@ class ExtendedLaw(StepLaw):
         return counts + added(values), slopes
 
 
-def _own(values: Array, columns: range) -> Array:
-    """A cause's own values, shape (n, q)."""
-    return values[:, columns.start : columns.stop]
-
-
-def _split(values: Array) -> list[Array]:
-    """Values of shape (n, q), each of shape (n, 1)."""
-    return list(values.T[:, :, None])
-
-
-def _multiply(factors: Iterable[Array], values: Array) -> Array:
-    return reduce(np.multiply, factors, np.ones((len(values), 1)))
+def _split(values: Array, columns: range) -> list[Array]:
+    """A cause's own values, each of shape (n, 1)."""
+    return list(values[:, columns.start : columns.stop].T[:, :, None])
 
 
 def extend(law: StepLaw, *causes: Cause) -> ExtendedLaw:

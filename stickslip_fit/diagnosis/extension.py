@@ -20,6 +20,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     EFFECT_TOL,
     FiniteEffects,
     Hypothesis,
+    acts_on,
     build_candidates,
     compute_changes,
     compute_effects,
@@ -299,7 +300,8 @@ def _changes_of_smooth(linearized: LinearizedFit, term: SmoothTerm, alike: dict[
         alike[shared] = compute_changes(linearized, shared, np.eye(len(term.orders)))
     changes = np.zeros((len(linearized), len(term.parameters)))
     for part, table in zip(linearized.parts, linearized.tables, strict=True):
-        changes[part.rows] = term.from_alike(part.law, table, alike[shared][part.rows])
+        if acts_on(term, part.law):
+            changes[part.rows] = term.from_alike(part.law, table, alike[shared][part.rows])
     return changes
 
 

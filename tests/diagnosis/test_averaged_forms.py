@@ -26,8 +26,8 @@ def draw(rng: np.random.Generator, length: float, size: float) -> np.ndarray:
     return size * np.linalg.cholesky(covariance) @ rng.standard_normal(361)
 
 
-def linearize(folder, rng, functions, traverses=40):
-    """Short traverses with log step sizes by session and direction; the linearized law."""
+def make_problem(folder, rng, functions, traverses=40):
+    """Short traverses with log step sizes by session and direction."""
     rows = []
     for session, direction in product(SESSIONS, "+-"):
         low = rng.uniform(0, REACH - 20, traverses)
@@ -40,7 +40,12 @@ def linearize(folder, rng, functions, traverses=40):
     pd.DataFrame(rows, columns=names).round(3).to_csv(folder / "log.csv", index=False)
     (folder / "stage.toml").write_text(MACHINE, encoding="utf-8")
     log = read_log(folder / "log.csv", machine=load_machine(folder / "stage.toml"))
-    return problem_from_log(log)[0].linearize()
+    return problem_from_log(log)[0]
+
+
+def linearize(folder, rng, functions, traverses=40):
+    """The linearized law of `make_problem`."""
+    return make_problem(folder, rng, functions, traverses).linearize()
 
 
 def term_of(linearized: LinearizedFit) -> SmoothTerm:
