@@ -7,10 +7,11 @@ of the gain comes from `gain_interval`, for which `_linearize_campaign` prepares
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, pairwise
+from time import perf_counter
 
 import numpy as np
 import pandas as pd
@@ -53,6 +54,7 @@ CLEAR_DISTANCE = 3.0  # standard errors between two laws, by which rows tell one
 MIN_JOINT_STRENGTH = 1.0  # of an effect in a joint, in standard errors; less is not seen in all rows either
 FOLD_SEED = 0  # the same for all logs: folds follow from the design, so that a replicate has the same
 MAX_SERIAL_ROWS = 1000  # above, processes share the splits
+MAX_SERIAL_SECONDS = 30.0  # of the splits still to search, above which processes share them, too
 PROGRESS_START, PROGRESS_END = 0.2, 0.95  # shares of a diagnosis's work
 PROGRESS_STEP = "predicting held-out traverses"
 
@@ -100,7 +102,7 @@ def measure_gain(
     """Measure what each finding, and all of them together, gain on held-out traverses.
 
     Without a machine, whose calibration traverses a new session has, no gain there is measured. `workers` are
-    processes, -1 for all cores; logs of up to `MAX_SERIAL_ROWS` traverses need one.
+    processes, -1 for all cores; what takes less than `MAX_SERIAL_SECONDS` needs one.
 
     Returns
     -------
@@ -158,7 +160,7 @@ def estimate_gains(
         Of the rows of `selection.problem`; at least one in each set.
     searches : FoldSearches
     workers : int, optional
-        Processes; all cores without it, one for up to `MAX_SERIAL_ROWS` rows. No number depends on it.
+        Processes; all cores without it, one for what takes little. No number depends on it.
     progress : callable, optional
         Called with the number of splits that are done, and of all.
     predict : callable, optional
@@ -269,18 +271,31 @@ def _collect_errors(
     }
     search = partial(_search_split, predict, problem, searches.selector)
     tasks = [partial(search, (searches.seed, splits[k][0]), splits[k][1]) for k in open_splits]
-    # Starting a process takes as long as the selection in several folds of a small log.
-    if len(problem) > MAX_SERIAL_ROWS and len(open_splits) > 1:
-        from joblib import Parallel, delayed
-
-        results = Parallel(n_jobs=workers, return_as="generator")(delayed(task)() for task in tasks)
-    else:
-        results = (task() for task in tasks)
+    results = _run_tasks(tasks, workers, at_once=len(problem) > MAX_SERIAL_ROWS)
     for done, (place, result) in enumerate(zip(open_splits, results, strict=True), start=1):
         known[keys[place]], errors[place] = result
         if progress is not None:
             progress(len(splits) - len(open_splits) + done, len(splits))
     return [errors[place] for place in range(len(splits))]
+
+
+def _run_tasks[T](tasks: Sequence[Callable[[], T]], workers: int, at_once: bool) -> Iterator[T]:
+    """Their results, in order.
+
+    Starting processes takes as long as the selection in several folds of a small log: if not `at_once`, they
+    share the tasks after the first if that one took long.
+    """
+    if not at_once and tasks:
+        began = perf_counter()
+        result, tasks = tasks[0](), tasks[1:]
+        at_once = (perf_counter() - began) * len(tasks) > MAX_SERIAL_SECONDS
+        yield result
+    if at_once and len(tasks) > 1:
+        from joblib import Parallel, delayed
+
+        yield from Parallel(n_jobs=workers, return_as="generator")(delayed(task)() for task in tasks)
+    else:
+        yield from (task() for task in tasks)
 
 
 def _leave_out_stalls(splits: Sequence[Split], errors: Array) -> tuple[Sequence[Split], Array]:

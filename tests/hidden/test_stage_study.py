@@ -1,4 +1,4 @@
-"""Rates of what is read of logs made by friction: of 20 in every run, of 1,000 by night."""
+"""Rates of what is read of logs made by friction: of 12 in every run, of 1,000 by night."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.hidden.stage_study import (
     stage_cases,
 )
 
-LOGS, LOGS_BY_NIGHT = 20, 1000
+LOGS, LOGS_BY_NIGHT = 12, 1000
 CASES = tuple(stage_cases(LOGS, first=60_000))
 
 
@@ -51,7 +51,7 @@ def folder(tmp_path_factory):
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: str(case.seed))
-def test_what_changed_in_a_stage_is_read_in_20_logs(case, folder):
+def test_what_changed_in_a_stage_is_read_in_12_logs(case, folder):
     """Each is decided by itself; the last one, whichever it is, asserts the rates of all.
 
     They are of joint 2 or 3, which are decided in a fourth of the time of a whole log.
