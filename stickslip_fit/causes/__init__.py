@@ -45,19 +45,12 @@ A package that is installed brings its causes along by an entry point, which nam
     hum = "our_lab.hum:Hum"
 """
 
-from stickslip_fit.causes.base import (
-    Cause,
-    CountCause,
-    ExtendedLaw,
-    FactorCause,
-    StateCause,
-    TermCause,
-    extend,
-)
+from stickslip_fit.causes.base import Cause, ExtendedLaw, extend
 from stickslip_fit.causes.environment import *  # noqa: F403
 from stickslip_fit.causes.formula import FormulaCause, restore_formula_cause
 from stickslip_fit.causes.generic import GenericCause
 from stickslip_fit.causes.geometry import *  # noqa: F403
+from stickslip_fit.causes.kinds import CountCause, FactorCause, StateCause, TermCause
 from stickslip_fit.causes.load import *  # noqa: F403
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter
 from stickslip_fit.causes.position import *  # noqa: F403

@@ -155,8 +155,8 @@ class PanelCounter(StepCounter):
         return self._last[1]
 
 
-GammaSlopes = Callable[[State, Array], Array]
-"""A state and values, (n, p), to derivatives of the step size, (n, k or 1, q)."""
+ChainedSlopes = Callable[[State, Array, Array], Array]
+"""A state, values, (n, p), and derivatives of the steps by the step size at each place, (n, k), to (n, q)."""
 MAX_PANEL_HALVINGS = 7  # a step size that needs more is not smooth
 KINK_HALVINGS = 3
 
@@ -184,11 +184,11 @@ class CountableLaw(Protocol):
     def gamma(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma`."""
 
-    def gamma_slopes(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma_slopes`."""
+    def chained_slopes(self, state: State, values: Array, by_place: Array) -> Array:
+        """Derivatives of the steps by the values, (n, p), from those by the step size, (n, k)."""
 
 
-def _chain(by_place: Array, by_value: Array) -> Array:
+def chain(by_place: Array, by_value: Array) -> Array:
     """Derivatives of the steps by values, (n, p): those by the step size, (n, k), and its, (n, k or 1, p)."""
     return np.einsum("nk,nkp->np", by_place, np.broadcast_to(by_value, (*by_place.shape, by_value.shape[2])))
 
@@ -236,23 +236,23 @@ class AdaptiveCounter:
         return counts
 
     def counts_and_slopes(
-        self, values: Array, gamma_slopes: GammaSlopes | None = None
+        self, values: Array, chained_slopes: ChainedSlopes | None = None
     ) -> tuple[Array, Array]:
         """Steps, shape (n,), and their derivatives by the values, shape (n, p).
 
-        `gamma_slopes` are the law's, unless only some of them are wanted.
+        `chained_slopes` are the law's, unless only some of them are wanted.
         """
-        by_values = gamma_slopes or self.law.gamma_slopes
+        by_values = chained_slopes or self.law.chained_slopes
         counter, state, gamma, exact = self._select_counter(values)
         counts, by_place = np.where(exact, counter.counts(gamma), np.nan), counter.derivatives(gamma)
         if exact.all():
-            return counts, _chain(by_place, by_values(state, values))
+            return counts, by_values(state, values, by_place)
         known, rows = np.flatnonzero(exact), np.flatnonzero(~exact)
-        own = _chain(by_place[known], by_values(self._select(state, known), values[known]))
+        own = by_values(self._select(state, known), values[known], by_place[known])
         slopes = np.full((len(values), own.shape[1]), np.nan)
         slopes[known] = own
         if self.halvings < self._most_halvings:
-            counts[rows], slopes[rows] = self._refine(rows).counts_and_slopes(values[rows], gamma_slopes)
+            counts[rows], slopes[rows] = self._refine(rows).counts_and_slopes(values[rows], chained_slopes)
         return counts, slopes
 
     def _select(self, state: State, rows: IntArray) -> State:

@@ -1,14 +1,14 @@
-"""Cause: a systematic effect that a published law leaves out, and its four kinds.
+"""Cause: a systematic effect that a published law leaves out, and the laws with such in them.
 
 The model of a traverse is evaluated in a fixed order: state (angles, then load and recoil), law, terms
 added to the step size, factors on it, steps over the traverse, steps added to the count. A cause acts
-at exactly one of these stages; `ExtendedLaw` is a published law with causes in it.
+at exactly one of these stages, see `kinds`; `ExtendedLaw` is a published law with causes in it.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from abc import ABC
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, partial, reduce
 from math import prod
 from typing import Any, ClassVar, Literal
@@ -18,7 +18,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray
-from stickslip_fit.causes._integration import AdaptiveCounter
+from stickslip_fit.causes._integration import AdaptiveCounter, chain
 from stickslip_fit.causes.parameters import (
     CauseParameter,
     Row,
@@ -29,7 +29,7 @@ from stickslip_fit.causes.parameters import (
     plain_description,
     sizes_by_name,
 )
-from stickslip_fit.laws import Configuration, Parameter, Rows, State, StepLaw, float_column, state_at
+from stickslip_fit.laws import Configuration, Parameter, Rows, State, StepLaw, float_column
 from stickslip_fit.laws.base import Counter
 from stickslip_fit.laws.quantities import POSE
 from stickslip_fit.machine import Machine
@@ -43,6 +43,8 @@ class Cause(ABC):
 
     Attributes
     ----------
+    acts_at : str
+        The stage at which it acts, as its kind says (`kinds`).
     name, phrase : str
         In code and reports; what is the matter, as part of a sentence.
     physics : str
@@ -90,6 +92,7 @@ class Cause(ABC):
         How much of it counts as larger than noise whose autocorrelation is known within an error.
     """
 
+    acts_at: ClassVar[Literal["", "state", "term", "factor", "count"]] = ""
     name: ClassVar[str]
     phrase: ClassVar[str]
     physics: ClassVar[str]
@@ -229,95 +232,6 @@ class Cause(ABC):
         return np.zeros(len(values))
 
 
-class StateCause(Cause):
-    """A cause by which angles, load or recoil differ from what was recorded."""
-
-    stage: ClassVar[int] = 3
-    """1 changes angles, 2 replaces the load or recoil that follows from them, 3 alters load or recoil."""
-
-    @abstractmethod
-    def change(self, state: State, values: list[Array]) -> State:
-        """The true state; each of `values` has shape (n, 1)."""
-
-
-class TermCause(Cause):
-    """A cause that adds to the step size, as a rule outside recoil's factor."""
-
-    def unload(self, state: State) -> State:
-        """The state in which the law's step size is `free`."""
-        zero = np.zeros((len(state.position), 1))
-        return state.with_changes(override_load=zero, override_recoil=zero)
-
-    @abstractmethod
-    def term(self, free: Array, state: State, values: list[Array]) -> Array:
-        """What is added, rad or m.
-
-        Parameters
-        ----------
-        free : array, shape (n, k) or (n, 1)
-            Step size in the state of `unload`: without load and recoil.
-        state : State
-        values : list of array, each shape (n, 1)
-        """
-
-    def term_slopes(self, free: Array, state: State, values: list[Array]) -> tuple[Array, list[Array]]:
-        """Derivatives of `term` by `free` and by each value; central differences unless overridden."""
-        step = DIFFERENCE_STEP * free
-        rise = self.term(free + step, state, values) - self.term(free - step, state, values)
-        slopes = [np.zeros((1, 1))] * len(values)
-        for k, size in enumerate(self.scale):
-            if self.parameters[k].joint in (None, state.joint):
-                width, (before, own, after) = DIFFERENCE_STEP * size, (values[:k], values[k], values[k + 1 :])
-                ends = [self.term(free, state, [*before, own + sign * width, *after]) for sign in (1, -1)]
-                slopes[k] = (ends[0] - ends[1]) / (2 * width)
-        return rise / (2 * step), slopes
-
-
-class FactorCause(Cause):
-    """A cause that multiplies the step size."""
-
-    @abstractmethod
-    def factor(self, state: State, values: list[Array]) -> Array:
-        """The factor, shape (n, k) or (n, 1); each of `values` has shape (n, 1)."""
-
-    def factor_slopes(self, state: State, values: list[Array]) -> Array | None:
-        """Derivatives of the factor, shape (n, k, q) or (n, 1, q); None for central differences."""
-        return None
-
-    def factor_of(self, state: State, values: Array) -> Array:
-        """As `factor`, from values of shape (n, q): of many parameters a list takes long."""
-        return self.factor(state, list(values.T[:, :, None]))
-
-    def factor_slopes_of(self, state: State, values: Array) -> Array | None:
-        """As `factor_slopes`, from values of shape (n, q)."""
-        return self.factor_slopes(state, list(values.T[:, :, None]))
-
-    def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
-        """See `Cause.changes`: a factor that is constant along a traverse divides its steps."""
-        before, row = extend(law), self.row_values(law, rows)
-        if self.under(before.law) is not self:
-            return super().changes(law, rows, values, trials)
-        ends = state_at(law.joint, row, np.stack([row["start"], row["stop"]], axis=-1))
-        state, one = before.true_state(ends, values), np.ones((len(values), 1))
-        factors = [self.factor(state, [size * one for size in trial]) for trial in trials]
-        if any(factor.shape[1] > 1 for factor in factors):
-            return super().changes(law, rows, values, trials)
-        factor = np.concatenate([*factors, one], axis=1)[:, :-1]
-        added = before.steps_added(ends, values)[:, None]
-        if not added.any():
-            return -np.log(factor)
-        steps = np.exp(law.predict(rows, values))[:, None]
-        return np.log((steps - added) / factor + added) - np.log(steps)
-
-
-class CountCause(Cause):
-    """A cause that adds steps to the count."""
-
-    @abstractmethod
-    def steps(self, state: State, values: list[Array]) -> Array:
-        """Steps added, shape (n, 1); each of `values` has shape (n, 1)."""
-
-
 MAX_ROWS = 4096  # at once; keeps arrays small with all the positions that a worn spot needs
 
 
@@ -364,13 +278,13 @@ class ExtendedLaw(StepLaw):
         return tuple(active)
 
     @cached_property
-    def by_stage(self) -> dict[type[Any], list[tuple[Any, range]]]:
+    def by_stage(self) -> dict[str, list[tuple[Any, range]]]:
         """The active causes by kind; state causes in the order of their stages."""
-        causes: dict[type[Any], list[tuple[Any, range]]] = {
-            kind: [(cause, columns) for cause, columns in self.active_causes if isinstance(cause, kind)]
-            for kind in (StateCause, TermCause, FactorCause, CountCause)
+        causes: dict[str, list[tuple[Any, range]]] = {
+            stage: [(cause, columns) for cause, columns in self.active_causes if cause.acts_at == stage]
+            for stage in ("state", "term", "factor", "count")
         }
-        causes[StateCause].sort(key=lambda active: active[0].stage)
+        causes["state"].sort(key=lambda active: active[0].stage)
         return causes
 
     @property
@@ -393,65 +307,84 @@ class ExtendedLaw(StepLaw):
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
         """See `StepLaw.gamma_slopes`; by the causes' parameters from central differences."""
-        true, law_values = self.true_state(state, values), values[:, : len(self.law.parameters)]
-        before, factors = self._before_factors(true, values), self._factors(true, values)
-        factor = prod(factors, start=np.ones((len(values), 1)))
-        by_law, slopes = self.law.gamma_slopes(true, law_values), dict[int, Array]()
-        for (cause, columns), free in zip(self.by_stage[TermCause], self._free(true, values), strict=True):
-            by_free, by_own = cause.term_slopes(free, true, _split(values, columns))
-            by_law = by_law + by_free[..., None] * self.law.gamma_slopes(cause.unload(true), law_values)
-            slopes |= {k: (own * factor)[..., None] for k, own in zip(columns, by_own, strict=True)}
-        slopes[0] = by_law * factor[..., None]
-        for place, (_, columns) in enumerate(self.by_stage[FactorCause]):
-            slopes[columns.start] = before[..., None] * self._factor_slopes(place, true, values, factors)
-        for k in (k for _, columns in self.by_stage[StateCause] for k in columns if self._has_slope(k)):
-            slopes[k] = self.difference(lambda shifted: self.gamma(state, shifted), values, k)[..., None]
-        together = np.zeros((len(values), max(own.shape[1] for own in slopes.values()), values.shape[1]))
-        for first, own in slopes.items():
+        blocks = [(first, spread(own)) for first, own, spread in self._slope_blocks(state, values)]
+        together = np.zeros((len(values), max(own.shape[1] for _, own in blocks), values.shape[1]))
+        for first, own in blocks:
             together[..., first : first + own.shape[2]] = own
         return together
 
-    def gamma_slopes_by_last(self, state: State, values: Array) -> Array:
-        """Derivatives of `gamma` by the parameters of the last cause, a factor, (n, k or 1, q)."""
+    def chained_slopes(self, state: State, values: Array, by_place: Array) -> Array:
+        """Derivatives of the steps by the values, (n, p), from those by the step size, (n, k)."""
+        together = np.zeros(values.shape)
+        for first, slopes, spread in self._slope_blocks(state, values):
+            own = spread(chain(by_place, slopes)[:, None])[:, 0]
+            together[:, first : first + own.shape[1]] = own
+        return together
+
+    def chained_slopes_by_last(self, state: State, values: Array, by_place: Array) -> Array:
+        """As `chained_slopes`, by the parameters of the last cause, a factor, (n, q)."""
         true = self.true_state(state, values)
         slopes = self._factor_slopes(-1, true, values, self._factors(true, values))
-        return np.multiply(self._before_factors(true, values)[..., None], slopes, order="C")
+        slopes = np.multiply(self._before_factors(true, values)[..., None], slopes, order="C")
+        last, _ = self.by_stage["factor"][-1]
+        return np.asarray(last.spread(true, chain(by_place, slopes)[:, None])[:, 0])
+
+    def _slope_blocks(
+        self, state: State, values: Array
+    ) -> Iterator[tuple[int, Array, Callable[[Array], Array]]]:
+        """First column, derivatives, and what makes of these those by the values that begin there."""
+        true, law_values = self.true_state(state, values), values[:, : len(self.law.parameters)]
+        before, factors = self._before_factors(true, values), self._factors(true, values)
+        factor = prod(factors, start=np.ones((len(values), 1)))
+        by_law = self.law.gamma_slopes(true, law_values)
+        for (cause, columns), free in zip(self.by_stage["term"], self._free(true, values), strict=True):
+            by_free, by_own = cause.term_slopes(free, true, _split(values, columns))
+            by_law = by_law + by_free[..., None] * self.law.gamma_slopes(cause.unload(true), law_values)
+            for k, own in zip(columns, by_own, strict=True):
+                yield k, (own * factor)[..., None], np.asarray
+        yield 0, by_law * factor[..., None], np.asarray
+        for place, (cause, columns) in enumerate(self.by_stage["factor"]):
+            slopes = before[..., None] * self._factor_slopes(place, true, values, factors)
+            yield columns.start, slopes, partial(cause.spread, true)
+        for k in (k for _, columns in self.by_stage["state"] for k in columns if self._has_slope(k)):
+            slopes = self.difference(lambda shifted: self.gamma(state, shifted), values, k)
+            yield k, slopes[..., None], np.asarray
 
     def true_state(self, state: State, values: Array) -> State:
         """The state under the causes, stage by stage."""
-        for cause, columns in self.by_stage[StateCause]:
+        for cause, columns in self.by_stage["state"]:
             state = cause.change(state, _split(values, columns))
         return state
 
     def steps_added(self, state: State, values: Array) -> Array:
         """Steps that count causes add to each traverse, shape (n,); `state` where it begins."""
-        active = self.by_stage[CountCause]
+        active = self.by_stage["count"]
         added = (cause.steps(state, _split(values, columns))[:, 0] for cause, columns in active)
         return sum(added, start=np.zeros(len(values)))
 
     def _before_factors(self, true: State, values: Array) -> Array:
         """The law and the terms added to it."""
-        active = zip(self.by_stage[TermCause], self._free(true, values), strict=True)
+        active = zip(self.by_stage["term"], self._free(true, values), strict=True)
         terms = [cause.term(free, true, _split(values, columns)) for (cause, columns), free in active]
         return sum(terms, start=self.law.gamma(true, values[:, : len(self.law.parameters)]))
 
     def _free(self, true: State, values: Array) -> list[Array]:
         """What each term has as the law's step size without load."""
         law_values = values[:, : len(self.law.parameters)]
-        return [self.law.gamma(cause.unload(true), law_values) for cause, _ in self.by_stage[TermCause]]
+        return [self.law.gamma(cause.unload(true), law_values) for cause, _ in self.by_stage["term"]]
 
     def _has_slope(self, k: int) -> bool:
         """Whether cause parameter `k` acts on this joint, and not as the moment of a sudden change."""
         return bool(self.affects_joint[k]) and not self.cause_parameters[k - len(self.law.parameters)].sudden
 
     def _factors(self, true: State, values: Array) -> list[Array]:
-        active = ((cause, values[:, own.start : own.stop]) for cause, own in self.by_stage[FactorCause])
+        active = ((cause, values[:, own.start : own.stop]) for cause, own in self.by_stage["factor"])
         return [cause.factor_of(true, own) for cause, own in active]
 
     def _factor_slopes(self, place: int, true: State, values: Array, factors: list[Array]) -> Array:
-        """Derivatives of all factors together by the parameters of one of them, (n, k or 1, q)."""
-        cause, columns = self.by_stage[FactorCause][place]
-        own = cause.factor_slopes_of(true, values[:, columns.start : columns.stop])
+        """Local derivatives of all factors together, by those of one of them, (n, k or 1, m)."""
+        cause, columns = self.by_stage["factor"][place]
+        own = cause.local_slopes(true, values[:, columns.start : columns.stop])
         if own is None:
             factor = lambda shifted: cause.factor_of(true, shifted[:, columns.start : columns.stop])  # noqa: E731
             own = np.stack([self.difference(factor, values, k) for k in columns], axis=-1)
@@ -577,7 +510,7 @@ class ExtendedLaw(StepLaw):
     def _count(self, part: AdaptiveCounter, values: Array) -> tuple[Array, Array]:
         counts, slopes = part.counts_and_slopes(values)
         added = partial(self.steps_added, part.start_state)
-        for _, columns in self.by_stage[CountCause]:
+        for _, columns in self.by_stage["count"]:
             for k in columns:
                 slopes[:, k] += self.difference(added, values, k)
         return counts + added(values), slopes

@@ -14,8 +14,9 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.base import Cause, FactorCause
+from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.friction import StageCause
+from stickslip_fit.causes.kinds import FactorCause
 from stickslip_fit.causes.parameters import CauseParameter, Sizes, fill_empty, missing_column
 from stickslip_fit.laws import State
 from stickslip_fit.logs.schema import COVARIATE_PREFIX

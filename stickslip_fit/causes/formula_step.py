@@ -14,9 +14,10 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray
-from stickslip_fit.causes.base import Cause, CountCause, FactorCause, StateCause, TermCause
+from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.cause_formula import CauseFormula
 from stickslip_fit.causes.formula_trials import MAX_LEVELS, FormulaTrials, Place, TrialSearch, first_row
+from stickslip_fit.causes.kinds import CountCause, FactorCause, StateCause, TermCause
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.laws import State, float_column, state_at

@@ -25,7 +25,8 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.base import Cause, FactorCause, StateCause
+from stickslip_fit.causes.base import Cause
+from stickslip_fit.causes.kinds import FactorCause, StateCause
 from stickslip_fit.laws import State, StepLaw
 from stickslip_fit.laws.integration import DriveChange
 from stickslip_fit.laws.physical import POWERS, Physical

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.base import StateCause
+from stickslip_fit.causes.kinds import StateCause
 from stickslip_fit.causes.parameters import CauseParameter, Sizes
 from stickslip_fit.laws import State
 

@@ -12,7 +12,8 @@ import pandas as pd
 
 from stickslip_fit._format import format_direction, join_words
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.base import Cause, FactorCause, StateCause, TermCause
+from stickslip_fit.causes.base import Cause
+from stickslip_fit.causes.kinds import FactorCause, StateCause, TermCause
 from stickslip_fit.causes.parameters import (
     CauseParameter,
     Row,

@@ -14,7 +14,8 @@ import pandas as pd
 from stickslip_fit._format import format_percent
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray
-from stickslip_fit.causes.base import Cause, CountCause, ExtendedLaw, FactorCause, extend
+from stickslip_fit.causes.base import Cause, ExtendedLaw, extend
+from stickslip_fit.causes.kinds import CountCause, FactorCause
 from stickslip_fit.causes.parameters import CauseParameter, Row, Sizes
 from stickslip_fit.laws import Configuration, ConstantStep, State, StepLaw
 from stickslip_fit.units import PRISMATIC

@@ -18,7 +18,8 @@ from scipy.special import gammaincinv
 from stickslip_fit._format import format_direction, join_words
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.base import Cause, FactorCause, extend
+from stickslip_fit.causes.base import Cause, extend
+from stickslip_fit.causes.kinds import FactorCause
 from stickslip_fit.causes.parameters import CauseParameter, Row, SizedParameter, collect_row_values
 from stickslip_fit.causes.smooth import LENGTHS, LinearFactor, cosines, prior_sds, rough_prior_sds
 from stickslip_fit.laws import State, StepLaw, state_at
@@ -139,8 +140,11 @@ class AlongTravel(LinearFactor):
     def functions(self, state: State) -> Array:
         """See `LinearFactor.functions`."""
         low, high = next((low, high) for joint, low, high in self.travel if joint == state.joint)
-        own = cosines(state.position, low, high, len(self.shape))
-        return self._place(own, state.joint, state.direction_sign[:, :, None])
+        return cosines(state.position, low, high, len(self.shape))
+
+    def acts(self, state: State) -> Array:
+        """See `LinearFactor.acts`."""
+        return self._acts_on(state.joint, state.direction_sign)
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: of small single cosines by the derivative without effect."""
@@ -176,16 +180,10 @@ class AlongTravel(LinearFactor):
     def _ending(self) -> str:
         return ", differently in the two directions" if self.by_direction else ""
 
-    def _place(self, functions: Array, joint: int, sign: Array) -> Array:
-        """Functions of a joint, shape (n, ..., K), at the places of all parameters, shape (n, ..., q)."""
-        signs: dict[str | None, float] = {"+": 1.0, "-": -1.0}
-        parts = [
-            functions * (1.0 if direction is None else sign == signs[direction])
-            if own == joint
-            else np.zeros_like(functions)
-            for own, direction in self.groups
-        ]
-        return np.concatenate(parts, axis=-1)
+    def _acts_on(self, joint: int, sign: Array) -> Array:
+        """1 for the traverses of a joint in a group's direction, whose sign has shape (n, 1); (n, groups)."""
+        signs: dict[str | None, Any] = {None: np.ones_like(sign), "+": 1.0 * (sign > 0), "-": 1.0 * (sign < 0)}
+        return np.concatenate([(own == joint) * signs[way] for own, way in self.groups], axis=1)
 
     def _mean_functions(self, law: StepLaw, rows: Row, values: Array) -> Array:
         """Derivative of each response by each parameter, all 0: a mean along the traverse, less; (n, q)."""
@@ -201,7 +199,8 @@ class AlongTravel(LinearFactor):
         means = np.diff(integrals, axis=1) / np.diff(shares, axis=1)[:, :, None] * (high - low)
         weights = (1.0 / gamma) / np.sum(1.0 / gamma, axis=1, keepdims=True)
         mean = np.einsum("np,npk->nk", weights, means[which])
-        return -self._place(mean, law.joint, np.sign(stop - start))
+        acts = self._acts_on(law.joint, np.sign(stop - start))
+        return -(acts[:, :, None] * mean[:, None, :]).reshape(len(mean), -1)
 
 
 def _find_travel(rows: pd.DataFrame) -> tuple[tuple[int, float, float], ...]:

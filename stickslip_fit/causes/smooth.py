@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.base import FactorCause
+from stickslip_fit.causes.kinds import FactorCause
 from stickslip_fit.causes.parameters import Row
 from stickslip_fit.laws import State, StepLaw
 
@@ -131,20 +131,28 @@ class LinearFactor(FactorCause):
 
     def linear_sum(self, state: State, values: Array) -> Array:
         """The sum of each parameter times its function, shape (n, k) or (n, 1)."""
-        functions, acts = self._functions_in(state)
-        each = values.reshape(*acts.shape, functions.shape[2])
-        return np.asarray(np.einsum("nkm,nm->nk", functions, np.einsum("ng,ngm->nm", acts, each)))
+        functions, _ = self._functions_in(state)
+        return np.asarray(np.einsum("nkm,nm->nk", functions, self.mix(state, values)))
 
     def factor_slopes(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor_slopes`."""
-        return self.factor_slopes_of(state, np.concatenate(values, axis=1))
+        return self.spread(state, self.local_slopes(state, np.concatenate(values, axis=1)))
 
-    def factor_slopes_of(self, state: State, values: Array) -> Array:
-        """See `FactorCause.factor_slopes_of`."""
+    def local_slopes(self, state: State, values: Array) -> Array:
+        """See `FactorCause.local_slopes`: by the coefficients of the functions of each traverse."""
+        functions, _ = self._functions_in(state)
+        return functions * np.asarray(self.of_sum(self.linear_sum(state, values))[1])[..., None]
+
+    def mix(self, state: State, values: Array) -> Array:
+        """The coefficients of the functions of each traverse, (n, q) -> (n, m)."""
         functions, acts = self._functions_in(state)
-        by_sum = np.asarray(self.of_sum(self.linear_sum(state, values))[1])[..., None]
-        slopes = (functions * by_sum)[:, :, None, :] * acts[:, None, :, None]
-        return slopes.reshape(*functions.shape[:2], acts.shape[1] * functions.shape[2])
+        return np.asarray(np.einsum("ng,ngm->nm", acts, values.reshape(*acts.shape, functions.shape[2])))
+
+    def spread(self, state: State, slopes: Array) -> Array:
+        """See `FactorCause.spread`: the transpose of `mix`."""
+        _, acts = self._functions_in(state)
+        spread = slopes[:, :, None, :] * acts[:, None, :, None]
+        return spread.reshape(*slopes.shape[:2], acts.shape[1] * slopes.shape[2])
 
     def _functions_in(self, state: State) -> tuple[Array, Array]:
         """`functions` and `acts`, computed once in a state: a fit asks for them again and again."""
@@ -166,7 +174,7 @@ class LinearFactor(FactorCause):
         extended, slopes = self.extend(law), []
         first = np.concatenate([values, np.zeros((len(values), len(self.parameters)))], axis=1)
         for subset, part in extended.parts(self.row_values(law, rows)):
-            counts, own = part.counts_and_slopes(first[subset], extended.gamma_slopes_by_last)
+            counts, own = part.counts_and_slopes(first[subset], extended.chained_slopes_by_last)
             slopes.append(own / (counts + extended.steps_added(part.start_state, first[subset]))[:, None])
         return np.concatenate(slopes)
 

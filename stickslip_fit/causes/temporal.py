@@ -12,8 +12,9 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.base import Cause, FactorCause
+from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.friction import FRICTION, RAMP_TIME, STEP, VOLTAGE, StageCause, distinct_changes
+from stickslip_fit.causes.kinds import FactorCause
 from stickslip_fit.causes.parameters import (
     CauseParameter,
     Row,

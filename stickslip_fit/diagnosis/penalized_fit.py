@@ -8,7 +8,7 @@ Kimeldorf and G. Wahba, J. Math. Anal. Appl. 33:82, 1971, applied step by step a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from typing import Any
@@ -19,7 +19,7 @@ from scipy.linalg import block_diag
 from scipy.sparse import csr_array
 
 from stickslip_fit._rows import unique_rows
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.parameters import CauseParameter, Row
 from stickslip_fit.causes.smooth import LinearFactor
 from stickslip_fit.diagnosis.linearized import (
@@ -92,13 +92,33 @@ class PartialFactor(LinearFactor):
 
     def functions(self, state: State) -> Array:
         """See `LinearFactor.functions`."""
-        functions, acts = self.whole.functions(state), self.whole.acts(state)
+        return self.whole.functions(state)
+
+    def acts(self, state: State) -> Array:
+        """See `LinearFactor.acts`."""
+        return self.whole.acts(state)
+
+    def mix(self, state: State, values: Array) -> Array:
+        """See `LinearFactor.mix`."""
+        mixed = np.empty((len(values), self._functions_in(state)[0].shape[2]))
+        for places, matrix in self._matrices(state):
+            mixed[places] = values[places] @ matrix.T
+        return mixed
+
+    def spread(self, state: State, slopes: Array) -> Array:
+        """See `FactorCause.spread`."""
+        spread = np.empty((*slopes.shape[:2], self.directions.shape[1]))
+        for places, matrix in self._matrices(state):
+            spread[places] = slopes[places] @ matrix
+        return spread
+
+    def _matrices(self, state: State) -> Iterator[tuple[IntArray, Array]]:
+        """Traverses on which the same functions act, and these functions' coefficients by all, (m, r)."""
+        functions, acts = self._functions_in(state)
         directions = self.directions.reshape(acts.shape[1], functions.shape[2], -1)
-        combined = np.empty((*functions.shape[:2], directions.shape[2]))
         ways, of_row = unique_rows(acts)
         for way, places in zip(ways, split_positions(of_row), strict=True):
-            combined[places] = functions[places] @ np.tensordot(way, directions, 1)
-        return combined
+            yield places, np.tensordot(way, directions, 1)
 
     def of_sum(self, total: Array) -> tuple[Array, Array | float]:
         """See `LinearFactor.of_sum`."""

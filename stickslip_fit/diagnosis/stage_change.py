@@ -25,7 +25,8 @@ import pandas as pd
 from scipy.special import chdtrc, logsumexp
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.base import Cause, CountCause, FactorCause, StateCause
+from stickslip_fit.causes.base import Cause
+from stickslip_fit.causes.kinds import CountCause, FactorCause, StateCause
 from stickslip_fit.causes.load import PayloadChange
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN

@@ -16,7 +16,8 @@ import pandas as pd
 from stickslip_fit._format import join_words
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import Cause
-from stickslip_fit.causes.base import ExtendedLaw, FactorCause
+from stickslip_fit.causes.base import ExtendedLaw
+from stickslip_fit.causes.kinds import FactorCause
 from stickslip_fit.causes.profile import AlongTravel
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.least_squares import fit_least_squares

@@ -14,7 +14,6 @@ import numpy as np
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import ExtendedLaw
-from stickslip_fit.causes.base import CountCause
 from stickslip_fit.causes.parameters import collect_row_values
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import StepLaw, state_at
@@ -133,14 +132,14 @@ class LocalSteps:
         """
         law, values, _, _ = self.law(joint, direction)
         slopes = np.zeros(len(values))
-        if not (isinstance(law, ExtendedLaw) and law.by_stage[CountCause]):
+        if not (isinstance(law, ExtendedLaw) and law.by_stage["count"]):
             return 0.0, slopes
         row = self._row(joint, direction, q, seconds, history)
 
         def added(shifted: Array) -> Array:
             return law.steps_added_by_causes(row, shifted)
 
-        for _, columns in law.by_stage[CountCause]:
+        for _, columns in law.by_stage["count"]:
             for k in columns:
                 slopes[k] = law.difference(added, values[None], k)[0]
         return float(added(values[None])[0]), slopes
