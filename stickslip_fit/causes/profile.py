@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
@@ -182,7 +182,7 @@ class AlongTravel(LinearFactor):
 
     def _acts_on(self, joint: int, sign: Array) -> Array:
         """1 for the traverses of a joint in a group's direction, whose sign has shape (n, 1); (n, groups)."""
-        signs: dict[str | None, Any] = {None: np.ones_like(sign), "+": 1.0 * (sign > 0), "-": 1.0 * (sign < 0)}
+        signs: dict[str | None, Any] = {None: 1.0 + 0.0 * sign, "+": 1.0 * (sign > 0), "-": 1.0 * (sign < 0)}
         return np.concatenate([(own == joint) * signs[way] for own, way in self.groups], axis=1)
 
     def _mean_functions(self, law: StepLaw, rows: Row, values: Array) -> Array:

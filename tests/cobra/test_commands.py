@@ -17,7 +17,7 @@ from tests.cobra.maps import JOINTS, MACHINE, SHARED, positioners, read_maps, wr
 pytestmark = pytest.mark.skipif(not SHARED.exists(), reason="the Cobra maps are not here")
 
 COMMANDS = ("check", "fit", "calibrate", "anova", "diagnose", "report")
-MAX_SECONDS = 180.0  # CPU of all commands on one log, two of which search it and every fold of it
+MAX_SECONDS = 300.0  # CPU of all commands on one log, two of which search it and every fold of it
 EVERY = [(number, cut) for number in positioners() for cut in (1, 2)] if SHARED.exists() else []
 # What a lab that has two joints and no times cannot do, or has done.
 IMPOSSIBLE = re.compile(
