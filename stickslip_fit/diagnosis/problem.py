@@ -243,6 +243,8 @@ class DiagnosisProblem:
             if not share and np.isfinite(self._chi_square(best)):
                 break
             nearer = np.where(_are_sizes(versions), absent + share * (start - absent), start)
+            if np.array_equal(nearer, start):
+                break
             fit = self._fit(versions, nearer)
             if fit.converged or self._chi_square(fit) < self._chi_square(best):
                 best = fit
