@@ -15,11 +15,11 @@ def fit(problem, fitter, versions, start):
     return fitter(problem.rows, problem.parts, problem.responses, problem.scale, versions, start)
 
 
-@pytest.mark.parametrize("size", [0.05, 0.4])
-def test_it_is_the_fit_of_all_coefficients(tmp_path, size):
+@pytest.mark.parametrize(("length", "size"), [(0.1, 0.05), (0.03, 0.6)])
+def test_it_is_the_fit_of_all_coefficients(tmp_path, length, size):
     """Of functions by which steps differ by half, too, where slopes at the start are not those at the end."""
     rng = np.random.default_rng(8)
-    functions = {key: draw(rng, 0.1, size) for key in product(SESSIONS, "+-")}
+    functions = {key: draw(rng, length, size) for key in product(SESSIONS, "+-")}
     problem = make_problem(tmp_path, rng, functions, traverses=12)
     linearized = problem.linearize()
     term = average_forms(term_of(linearized), linearized, linearized.residual)
@@ -29,11 +29,11 @@ def test_it_is_the_fit_of_all_coefficients(tmp_path, size):
     assert ours.converged
     assert whole.converged
     error = np.sqrt(whole.covariance.diagonal())
-    assert np.max(np.abs(ours.values - whole.values) / error) < 0.01
+    assert np.max(np.abs(ours.values - whole.values) / error) < 0.004
     assert np.max(np.abs(ours.residual - whole.residual) / problem.scale) < 0.01
     np.testing.assert_allclose(np.sqrt(ours.covariance.diagonal()), error, rtol=1e-3)
     scaled = (ours.covariance - whole.covariance) / np.outer(error, error)
-    assert np.abs(scaled).max() < 2e-3
+    assert np.abs(scaled).max() < 1e-3
     for own, other in zip(ours.parts, whole.parts, strict=True):
         assert own.law.parameters == other.law.parameters
         np.testing.assert_allclose(own.values[:, 0], other.values[:, 0], rtol=1e-5)
