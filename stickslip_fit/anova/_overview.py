@@ -81,8 +81,20 @@ def write_overview(joint: int, anova: Anova, advice: Sequence[Advice]) -> str:
     for test in _profile_of(joint, anova):
         if test.term == POSITION and test.effect is not None and test.is_significant:
             changes.append(f"along the travel by up to {format_percent(expm1(test.effect.difference))}")
+    changes += _differing_profiles(joint, anova)
     found = f"the step size changes {join_words(changes)}" if changes else "no factor shows an effect"
     return " ".join([f"Joint {joint}: {found}.", *_advise(advice)])
+
+
+def _differing_profiles(joint: int, anova: Anova) -> list[str]:
+    """Between what the profile along the travel differs, with the rms of the differences, if it does."""
+    between = {f"{DAY} x {POSITION}": EFFECTS[DAY], f"{DIRECTION} x {POSITION}": EFFECTS[DIRECTION]}
+    differing = [
+        f"{between[test.term]} ({format_percent(test.size)} rms)"
+        for test in _profile_of(joint, anova)
+        if test.term in between and test.is_significant
+    ]
+    return [f"along the travel in a way that differs {join_words(differing)}"] if differing else []
 
 
 def overview_table(joints: Sequence[int], anova: Anova) -> Table:

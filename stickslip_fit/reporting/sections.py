@@ -186,8 +186,9 @@ def _conclude_factors(anova: Anova) -> str:
             found[test.design.analysis] = None
     for analysis in anova.positions:
         found = named.setdefault(analysis.joint, {})
-        if any(test.term == "position" and test.is_significant for test in analysis.tests):
-            found["position along the travel"] = None
+        for term in [test.term for test in analysis.tests if test.is_significant]:
+            if "position" in term.split(" x "):
+                found["position along the travel" if term == "position" else term] = None
     if not named:
         return "Nothing can be answered from this log."
     parts = [

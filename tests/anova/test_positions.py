@@ -10,6 +10,7 @@ from stickslip_fit.anova.contrasts import _studentized_range_quantile, f_test_po
 from stickslip_fit.anova.position import analyze_positions
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log
+from stickslip_fit.reporting.sections import factors_section
 
 MACHINE = """
 name = "two turntables"
@@ -175,8 +176,7 @@ def test_one_session_and_one_reading_each_compare_with_the_other_direction(machi
     assert {test.term: test.error_term for test in tests}["position"] == "highest interaction"
 
 
-@pytest.fixture
-def log(machine, tmp_path):
+def write_log(folder, machine, profile):
     rng, lines = (
         np.random.default_rng(8),
         ["session,joint,direction,steps,check_every,q1_deg,q2_deg,from_deg,to_deg"],
@@ -184,13 +184,28 @@ def log(machine, tmp_path):
     for day in range(4):
         for sign in "+-":
             for place in range(0, 360, 40):
-                count = round(
-                    40 / 0.06 * np.exp(0.1 * np.sin(np.radians(place)) + 0.005 * rng.standard_normal())
-                )
+                shift = profile(day, np.radians(place)) + 0.005 * rng.standard_normal()
+                count = round(40 / 0.06 * np.exp(shift))
                 ends = (place, place + 40) if sign == "+" else (place + 40, place)
                 lines.append(f"day {day},1,{sign},{count},1,,0,{ends[0]},{ends[1]}")
-    (tmp_path / "log.csv").write_text("\n".join(lines), "utf-8")
-    return read_log(tmp_path / "log.csv", machine=machine)
+    (folder / "log.csv").write_text("\n".join(lines), "utf-8")
+    return read_log(folder / "log.csv", machine=machine)
+
+
+@pytest.fixture
+def log(machine, tmp_path):
+    return write_log(tmp_path, machine, lambda day, angle: 0.1 * np.sin(angle))
+
+
+def test_a_profile_that_differs_between_days_is_in_the_first_sentence(machine, tmp_path):
+    """And in that of the report: the table says yes to it."""
+    anova = analyze_variance(write_log(tmp_path, machine, lambda day, x: 0.1 * np.cos(x + np.pi * day / 2)))
+    text = " ".join(str(anova).split())
+    assert text.startswith(
+        "Joint 1: the step size changes along the travel in a way that differs from session to session (7."
+    )
+    assert "between the directions (" not in text
+    assert "joint 1: day x position." in factors_section(anova).conclusion
 
 
 def test_position_is_in_the_answer_the_records_and_formulas(log):
