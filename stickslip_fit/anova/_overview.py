@@ -19,7 +19,7 @@ from stickslip_fit._format import (
 from stickslip_fit._summary import Column, Table, numbers, words
 from stickslip_fit.anova.analysis import Anova
 from stickslip_fit.anova.factor_test import FactorTest
-from stickslip_fit.anova.position import DAY, DIRECTION, POSITION, PositionTest
+from stickslip_fit.anova.position import DAY, DIRECTION, POSITION, PositionTest, name_term
 
 EFFECTS = {
     "day": "from session to session",
@@ -88,7 +88,7 @@ def write_overview(joint: int, anova: Anova, advice: Sequence[Advice]) -> str:
 
 def _differing_profiles(joint: int, anova: Anova) -> list[str]:
     """Between what the profile along the travel differs, with the rms of the differences, if it does."""
-    between = {f"{DAY} x {POSITION}": EFFECTS[DAY], f"{DIRECTION} x {POSITION}": EFFECTS[DIRECTION]}
+    between = {name_term((factor, POSITION)): EFFECTS[factor] for factor in (DAY, DIRECTION)}
     differing = [
         f"{between[test.term]} ({format_percent(test.size)} rms)"
         for test in _profile_of(joint, anova)

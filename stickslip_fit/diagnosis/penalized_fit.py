@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,13 +20,14 @@ from scipy.sparse import csr_array
 
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes.base import extend
 from stickslip_fit.causes.parameters import CauseParameter, Row
 from stickslip_fit.causes.smooth import LinearFactor
 from stickslip_fit.diagnosis.linearized import (
     MIN_EFFECT,
     ExtendedFit,
     LawBlock,
-    RowSubset,
+    cause_jacobian,
     fit_extended,
     seen_directions,
     split_positions,
@@ -142,7 +143,8 @@ def fit_penalized(
         return fit_extended(rows, parts, responses, scale, causes, start, **options)
     values, before = start, parts
     for _ in range(MAX_ROUNDS):
-        slopes = _find_slopes(rows, before, causes, values)
+        with np.errstate(all="ignore"):
+            slopes = cause_jacobian(rows, _extend(before, causes, values), len(values))
         if not np.isfinite(slopes).all():
             return fit_extended(rows, parts, responses, scale, causes, start, **options)
         seen = _find_directions(causes, whiten(slopes, scale, noise_filter))
@@ -212,23 +214,11 @@ def _extend(parts: Sequence[LawBlock], causes: Sequence[Any], values: Array) -> 
     return tuple(
         replace(
             part,
-            law=reduce(lambda law, cause: cause.extend(law), causes, part.law),
+            law=extend(part.law, *causes),
             values=np.column_stack([part.values, np.tile(values, (len(part.values), 1))]),
         )
         for part in parts
     )
-
-
-def _find_slopes(
-    rows: pd.DataFrame, parts: Sequence[LawBlock], causes: Sequence[Any], values: Array
-) -> Array:
-    """Derivatives of the responses by the causes' parameters, shape (n, q)."""
-    slopes = np.empty((len(rows), len(values)))
-    for part in _extend(parts, causes, values):
-        with np.errstate(all="ignore"):
-            own = part.law.model(RowSubset(rows, part.rows))(part.values)[1]
-        slopes[part.rows] = own[:, own.shape[1] - len(values) :]
-    return slopes
 
 
 def _find_directions(causes: Sequence[Any], slopes: Array) -> _Directions:

@@ -54,7 +54,13 @@ from stickslip_fit.diagnosis.hypotheses import (
     compute_finite_effects,
 )
 from stickslip_fit.diagnosis.influence import assess_support
-from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, ExtendedFit, LinearizedFit, rms
+from stickslip_fit.diagnosis.linearized import (
+    MAX_LEVERAGE,
+    ExtendedFit,
+    LinearizedFit,
+    cause_jacobian,
+    rms,
+)
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, remove_structure
 from stickslip_fit.diagnosis.noise import NoiseEstimate, explains_more, find_outliers, find_runs
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
@@ -504,11 +510,7 @@ def predict_departures(selection: Selection, problem: DiagnosisProblem, outliers
 
 def compute_cause_jacobian(selection: Selection) -> Array:
     """Change of every response with each parameter of the selected causes, shape (n, q)."""
-    problem, shared = selection.problem, len(selection.fit.values)
-    slopes = np.zeros((len(problem), shared))
-    for part in selection.fit.parts:
-        slopes[part.rows] = part.law.jacobian(problem.rows.iloc[part.rows], part.values)[:, -shared:]
-    return slopes
+    return cause_jacobian(selection.problem.rows, selection.fit.parts, len(selection.fit.values))
 
 
 def empty_selection(problem: DiagnosisProblem) -> Selection:

@@ -19,6 +19,7 @@ from stickslip_fit._format import (
 from stickslip_fit._summary import Section, Summary
 from stickslip_fit.anova import Anova
 from stickslip_fit.anova._summary import tests_tables
+from stickslip_fit.anova.position import DAY, DIRECTION, POSITION
 from stickslip_fit.causes import Cause
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation._summary import departures_tables, flags
@@ -187,8 +188,8 @@ def _conclude_factors(anova: Anova) -> str:
     for analysis in anova.positions:
         found = named.setdefault(analysis.joint, {})
         for term in [test.term for test in analysis.tests if test.is_significant]:
-            if "position" in term.split(" x "):
-                found["position along the travel" if term == "position" else term] = None
+            if term not in (DAY, DIRECTION):  # which the factor tests have
+                found["position along the travel" if term == POSITION else term] = None
     if not named:
         return "Nothing can be answered from this log."
     parts = [

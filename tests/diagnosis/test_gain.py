@@ -242,8 +242,9 @@ def test_where_nothing_is_wrong_nothing_is_gained_and_no_fold_is_searched(proble
 
 
 @pytest.mark.nightly
-def test_the_number_of_processes_makes_no_difference(problem, monkeypatch):
-    monkeypatch.setattr(gain, "MAX_SERIAL_ROWS", 0)  # or this small log would never have two
+@pytest.mark.parametrize("limit", ["MAX_SERIAL_ROWS", "MAX_SERIAL_SECONDS"])
+def test_the_number_of_processes_makes_no_difference(problem, monkeypatch, limit):
+    monkeypatch.setattr(gain, limit, 0)  # or this small log would never have two
     own_problem = replace(
         problem(hide("session", ("drift",), 12, seed=3)), alternatives=build_unstructured_alternatives
     )

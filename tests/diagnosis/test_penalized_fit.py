@@ -1,5 +1,6 @@
 """Fits along the directions of coefficients that the rows see, against fits of all coefficients."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from stickslip_fit.diagnosis import penalized_fit
 from stickslip_fit.diagnosis.averaged_forms import average_forms
 from stickslip_fit.diagnosis.linearized import fit_extended, seen_directions
+from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from tests.diagnosis.test_averaged_forms import SESSIONS, draw, make_problem, term_of
 
 
@@ -36,7 +38,8 @@ def test_it_is_the_fit_of_all_coefficients(tmp_path, length, size):
     assert np.abs(scaled).max() < 1e-3
     for own, other in zip(ours.parts, whole.parts, strict=True):
         assert own.law.parameters == other.law.parameters
-        np.testing.assert_allclose(own.values[:, 0], other.values[:, 0], rtol=2e-4)
+        level = np.log(own.values[:, 0] / other.values[:, 0])
+        assert np.max(np.abs(level) / problem.scale[own.rows]) < 0.01
     np.testing.assert_array_equal(ours.prior_sd, whole.prior_sd)
 
 
@@ -61,3 +64,19 @@ def test_directions_are_those_of_the_singular_values(shape):
     kept = right[: np.count_nonzero(singular > 0.2)]
     assert 0 < len(kept) < 5
     np.testing.assert_allclose(axes @ axes.T, kept.T @ kept, atol=1e-12)
+
+
+@pytest.mark.parametrize(("start", "fits"), [(0.0, 1), (0.01, 3)])
+def test_a_fit_from_zero_effect_is_not_repeated_from_there(tmp_path, monkeypatch, start, fits):
+    """What does not converge is tried again nearer to zero effect."""
+    rng = np.random.default_rng(8)
+    problem = make_problem(tmp_path, rng, {key: draw(rng, 0.1, 0.1) for key in product(SESSIONS, "+-")}, 8)
+    term, starts, fit_once = term_of(problem.linearize()).for_all, [], DiagnosisProblem._fit
+
+    def fail(own, versions, begin):
+        starts.append(begin)
+        return replace(fit_once(own, versions, begin), converged=False)
+
+    monkeypatch.setattr(DiagnosisProblem, "_fit", fail)
+    problem.fit_extended([term], np.full(len(term.parameters), start))
+    assert len(np.unique(starts, axis=0)) == len(starts) == fits
