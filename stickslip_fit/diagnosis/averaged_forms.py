@@ -32,7 +32,6 @@ SHARES = (0.0, 0.2, 0.5, 0.8, 1.0)
 LEARNING_RATE = 1.0 / 6.0
 MIN_WEIGHT = 0.01  # of a form over that of the likeliest, below which its neighbours are not tried
 MIN_PART = 0.01  # of the average's variance, below which a part is left out
-MIN_VARIANCE = 1e-12  # of a coefficient over the largest: in long logs the weights of unlikely forms vanish
 
 Form = tuple[int, int, int]
 """Places of its length, of its share that is opposite in directions, and of its share of sessions."""
@@ -55,7 +54,6 @@ def average_forms(term: SmoothTerm, linearized: LinearizedFit, residual: Array) 
     total = variances.sum(axis=0)
     variances = variances[:, : 1 + int(np.max(np.flatnonzero(total >= MIN_PRIOR_SD**2 * total.max())))]
     kept = variances.sum(axis=1) > MIN_PART * variances.sum()
-    variances = np.maximum(variances, MIN_VARIANCE * variances.max())
     sds = np.sqrt(variances).tolist()
     return NestedTerm.of_parts(
         term, [(*kind, tuple(own)) for kind, own, keep in zip(kinds, sds, kept, strict=True) if keep]
