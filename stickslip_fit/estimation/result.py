@@ -10,7 +10,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -141,6 +141,29 @@ class JointFit:
         index = pd.MultiIndex.from_frame(self.groups[["session", "direction"]].astype(object))
         wanted = pd.MultiIndex.from_frame(rows[["session", "direction"]].astype(object))
         return index.get_indexer(wanted)
+
+    def for_session_to_come(self) -> JointFit:
+        """The fit as it predicts a session that is not in the log, calibrated as one that is.
+
+        Smooth functions of single sessions are as unknown there as before the log was made: zero on average,
+        with the covariance of their prior. A sudden change in a session has happened.
+        """
+        if not isinstance(self.law, ExtendedLaw):
+            return self
+        first = len(self.law.law.parameters)
+        own = [one.session is not None for one in self.law.cause_parameters]
+        sds = np.array([one.prior_sd for one in self.law.cause_parameters])
+        smooth = first + np.flatnonzero(own & np.isfinite(sds))
+        moments = first + np.flatnonzero(
+            [one.sudden for one in self.law.cause_parameters] & np.array(own, bool)
+        )
+        values, covariance = self.values.copy(), self.covariance.copy()
+        values[:, [*smooth, *moments]] = 0.0
+        for place in (smooth, moments):
+            covariance[:, place, :] = 0.0
+            covariance[:, :, place] = 0.0
+        covariance[:, smooth, smooth] = sds[smooth - first] ** 2
+        return replace(self, values=values, covariance=covariance)
 
 
 @dataclass(frozen=True, repr=False)
@@ -299,6 +322,10 @@ class Result(Summarized):
             For a session, direction or joint that was not fitted.
         """
         return convert_predictions(self.si.predict(rows), rows, self.machine)
+
+    def for_session_to_come(self) -> Result:
+        """The result as it predicts a session that is not in the log, see `JointFit.for_session_to_come`."""
+        return replace(self, joints={joint: fit.for_session_to_come() for joint, fit in self.joints.items()})
 
     def _predict(self, rows: pd.DataFrame) -> pd.DataFrame:
         needed = {name for fit in self.joints.values() for name in fit.law.columns} & {*DEPARTURES}

@@ -43,6 +43,7 @@ def predict(
         calibration (the session whose parameters were used, empty for a future one), steps (rounded up to the
         next check of the end stop), low, high (95 % interval of that count, its own scatter included), and
         step_size (mean over the traverse) in unit, nm or µrad. low and high are NaN without error bars.
+        What a law has for single sessions alone is unknown of the plan's, see `JointFit.for_session_to_come`.
 
     Raises
     ------
@@ -50,6 +51,8 @@ def predict(
         For a joint, direction or session that was not fitted, one whose parameters are not all identifiable,
         or a traverse in which the joint would stall.
     """
+    if isinstance(fitted, Result):
+        fitted = fitted.for_session_to_come()
     rows = _add_expected_history(fitted, plan, session, conditions or {})
     # A plan repeats traverses; each is predicted once.
     keys = [name for name in (*TRAVERSE_COLUMNS, *INITIAL_HISTORY, *(conditions or ())) if name in rows]

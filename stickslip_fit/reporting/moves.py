@@ -17,17 +17,18 @@ from stickslip_fit._format import (
     format_plain,
     format_significant,
     format_value,
+    join_words,
     pluralize,
     typeset_text,
 )
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Section, Summary, Table, numbers, words
+from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import shorten
 from stickslip_fit.estimation import Result
 from stickslip_fit.logs.plan import Plan, build_sheet
 from stickslip_fit.moves import CalibratedArm, MovePlan, PoseEstimate, steps_before_recalibration
-from stickslip_fit.moves.arm import Z_95
-from stickslip_fit.units import PRISMATIC, from_si
+from stickslip_fit.units import PRISMATIC, Z_95, from_si
 
 
 def summarize_move(arm: CalibratedArm, move: MovePlan) -> Summary:
@@ -149,7 +150,7 @@ def summarize_predictions(result: Result, plan: Plan, predicted: pd.DataFrame) -
         plan.name,
         (_predictions_heading(plan, predicted),),
         (Section(tables=(table,)),),
-        flags=tuple(_without_interval(result, rows, predicted)),
+        flags=(*_without_interval(result, rows, predicted), *_of_single_sessions(result)),
     )
 
 
@@ -185,6 +186,25 @@ def _without_interval(result: Result, rows: pd.DataFrame, predicted: pd.DataFram
         if (flag.joint, flag.direction) in bare and flag.flag == "few_replicates"
     ]
     return list(dict.fromkeys(messages))
+
+
+def _of_single_sessions(result: Result) -> list[str]:
+    """The remark that counts have no part of what the law has for each session."""
+    joints = [
+        f"joint {joint}"
+        for joint, fit in result.joints.items()
+        if isinstance(fit.law, ExtendedLaw)
+        and any(
+            one.session and one.joint in (None, joint) and np.isfinite(one.prior_sd)
+            for one in fit.law.cause_parameters
+        )
+    ]
+    if not joints:
+        return []
+    return [
+        f"The law of {join_words(joints)} has a function of each logged session; a session to come has "
+        "another one, which the counts leave out and the intervals allow for"
+    ]
 
 
 UNIT_OF = {"theta": "deg", "psi": "deg", "q1": "deg", "q2": "deg", "q3": "mm"}

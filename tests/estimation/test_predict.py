@@ -7,12 +7,15 @@ import pytest
 from scipy.stats import binom
 
 from stickslip_fit.bayes import fit_bayes
+from stickslip_fit.causes import ExtendedLaw, SessionJump
+from stickslip_fit.causes.proposed import SmoothTerm
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_closed_form, fit_least_squares
 from stickslip_fit.laws import Prismatic
 from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
 from stickslip_fit.moves.prediction import predict
+from stickslip_fit.reporting.moves import summarize_predictions
 from stickslip_fit.simulation import LawValues, simulate
 
 TRUTH = {"+": np.array([976e-9, 0.30, 438e-9]), "-": np.array([903e-9, 0.27, -405e-9])}
@@ -66,6 +69,44 @@ def test_intervals_hold_the_counts_of_a_plan(planned, estimator, campaigns):
     assert 0.95 - margin < share.mean() < 0.955 + margin
     worst = hits.sum(axis=0).min()
     assert worst >= binom.ppf(0.001 / hits.shape[1], campaigns, 0.95)
+
+
+@pytest.mark.parametrize("campaigns", [10, pytest.param(300, marks=pytest.mark.nightly)])
+def test_a_function_of_each_logged_session_is_not_that_of_a_session_to_come(planned, campaigns):
+    """With that of the latest session the intervals hold a fifth of the counts."""
+    logged, then = planned(CALIBRATION, days(4)), planned(FRESH, "2012-03-20")
+    sds = (0.02, 0.01)
+
+    def curve(*sessions):
+        limits = ((0.0, 4000.0),)
+        return SmoothTerm(("session_seconds",), limits, ((1,), (2,)), sds, sessions=sessions)
+
+    labels, shares = [one.label for one in logged.sessions], []
+    law = ExtendedLaw(Prismatic(), (curve(*labels, then.sessions[0].label),))
+    for seed in range(campaigns):
+        drawn = np.random.default_rng(seed).standard_normal((len(labels) + 1, len(sds))) * sds
+        values = {(3, way, None): np.r_[one, drawn.ravel()] for way, one in TRUTH.items()}
+        true = LawValues({3: law}, values, {})
+        fit = fit_least_squares(simulate(logged, true, load_machine(), seed=seed), causes=[curve(*labels)])
+        predicted = predict(fit, then)
+        later = simulate(then, true, load_machine(), seed=10_000 + seed)
+        shares.append(inside(predicted, later).mean())
+    assert np.mean(shares) == pytest.approx(0.95, abs=4 * 0.12 / np.sqrt(campaigns))
+    (remark,) = summarize_predictions(fit, then, predicted).flags
+    assert "joint 3 has a function of each logged session" in remark
+
+
+def test_a_change_within_a_session_has_happened_before_a_session_to_come(planned):
+    logged, then = planned(CALIBRATION, days(1)), planned(FRESH, "2012-03-20")
+    jump = SessionJump(session="2012-03-05")
+    law = ExtendedLaw(Prismatic(), (jump,))
+    moment = np.median(simulate(logged, truth(), load_machine(), seed=0).rows["session_seconds"])
+    values = {(3, way, None): np.r_[one, 0.05, moment] for way, one in TRUTH.items()}
+    log = simulate(logged, LawValues({3: law}, values, {}), load_machine(), seed=0)
+    fit = fit_least_squares(log, causes=[jump])
+    later = simulate(then, truth(), load_machine(), seed=1).rows["steps"] / 1.05
+    ratio = np.log(predict(fit, then)["steps"].to_numpy() / later.to_numpy())
+    assert np.abs(ratio).max() < 0.02
 
 
 @pytest.mark.nightly
