@@ -27,6 +27,7 @@ from stickslip_fit.estimation._groups import Groups, group_rows, usable_rows
 from stickslip_fit.laws import Laws, Rows, StepLaw, choose_laws, traverse_length
 from stickslip_fit.laws.base import Model
 from stickslip_fit.logs import Log
+from stickslip_fit.units import Z_95
 
 ROWS_PER_CHUNK = 20_000  # for which the law is evaluated at a time; they fit in the cache
 
@@ -204,7 +205,7 @@ class CausePriors:
 
     def describe(self) -> list[list[str]]:
         """Name, and range of 95 %, of each parameter, as people read it."""
-        low, high = (self.unstandardize(np.full(len(self.names), sign * NORMAL_QUANTILE)) for sign in (-1, 1))
+        low, high = (self.unstandardize(np.full(len(self.names), sign * Z_95)) for sign in (-1, 1))
         lines = []
         for j, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
             text = f"held at {format_value(self.centre[j], unit, 3)}"
@@ -282,7 +283,6 @@ def _prior_width(cause: Cause, rows: pd.DataFrame) -> Array:
 
 
 Group = tuple[int, str]
-NORMAL_QUANTILE = 1.96  # of the half-width of 95 %, in standard deviations
 
 # In units of `StepLaw.scales`: changes of the parameters that change a step by its own size.
 PRIOR_WIDTH = 0.5
@@ -439,5 +439,5 @@ def _prior_lines(group: Group, prior: Prior) -> list[list[str]]:
 
 
 def _format_range(median: float, factor: float, unit: str, digits: int) -> str:
-    low, high = median * factor**-NORMAL_QUANTILE, median * factor**NORMAL_QUANTILE
+    low, high = median * factor**-Z_95, median * factor**Z_95
     return f"{format_value(low, unit, digits)} to {format_value(high, unit, digits)}"

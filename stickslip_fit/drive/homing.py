@@ -31,8 +31,7 @@ from stickslip_fit.logs.log import format_csv
 from stickslip_fit.logs.schema import CONDITIONS
 from stickslip_fit.machine import Machine
 from stickslip_fit.moves import DriveReckoning
-from stickslip_fit.moves.arm import Z_95
-from stickslip_fit.units import JOINTS, PRISMATIC
+from stickslip_fit.units import JOINTS, PRISMATIC, Z_95
 
 CHECK_EVERY = 5
 MAX_COUNT_RATIO = 1.25  # of the steps that the law expects

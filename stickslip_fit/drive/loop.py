@@ -29,8 +29,7 @@ from stickslip_fit.drive.velocity import DAMPED_WITHIN, Triple, axis_distance, j
 from stickslip_fit.errors import InputError
 from stickslip_fit.machine import forward
 from stickslip_fit.moves import DriveReckoning
-from stickslip_fit.moves.arm import Z_95
-from stickslip_fit.units import JOINTS
+from stickslip_fit.units import JOINTS, Z_95
 
 TICK = 0.010  # s
 SHOW_INTERVAL = 0.1  # s

@@ -17,9 +17,8 @@ import typer
 
 from stickslip_fit._format import format_direction, format_number, format_value, pluralize
 from stickslip_fit.drive.state import DriveState, Screen
-from stickslip_fit.moves.arm import Z_95
 from stickslip_fit.moves.error_ellipsoid import semi_axes
-from stickslip_fit.units import JOINTS, PRISMATIC, from_si
+from stickslip_fit.units import JOINTS, PRISMATIC, Z_95, from_si
 
 LINE_INTERVAL = 1.0  # s between two lines where there is no terminal
 PICTURE_HEIGHT = 14

@@ -52,6 +52,7 @@ from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import NO_TIMES, has_times
 from stickslip_fit.machine import Machine
+from stickslip_fit.units import Z_95
 
 UNTIMED = "no_times"
 NO_TIMES_TEXT = f"{NO_TIMES}: what changes with time or from one traverse to the next stays unknown"
@@ -160,7 +161,6 @@ SUSPICIOUS_Z = 5.0  # in a fit that an outlier may have pulled towards it
 SEARCH_ITERATIONS = 50  # of one pass; where the law suits no count, more would take long and show no outlier
 TYPICAL_SIGMA = 0.003  # of log steps; the least scatter that a few small residuals may show
 SIGMA_PER_MAD = 1.4826
-NORMAL_REACH = 1.96  # standard deviations of 95 %
 OUTLIER, PATTERN = "outlier", "outlier_pattern"
 ADVICE = "repeat the traverse; the Student-t fit (--heavy-tails) needs none excluded"
 
@@ -205,7 +205,7 @@ def outliers(law: StepLaw, rows: pd.DataFrame, machine: Machine | None = None) -
     flags = []
     for (_, row), center, sd in zip(rows[outlying].iterrows(), log_expected, scatter, strict=True):
         place = f" ({format_configuration(row, machine)})" if machine else ""
-        low, high = np.exp(center + NORMAL_REACH * sd * np.array([-1.0, 1.0]))
+        low, high = np.exp(center + Z_95 * sd * np.array([-1.0, 1.0]))
         text = (
             f"the count {row['steps']} of {row['time']}{place} is far from the {low:.0f} to "
             f"{high:.0f} (95 %) that the others predict, and stands alone: {ADVICE}"

@@ -25,8 +25,6 @@ from stickslip_fit.logs.schema import CONDITION_SPELLINGS, COVARIATE_PREFIX
 from stickslip_fit.machine import Machine, mean_load
 from stickslip_fit.units import JOINTS, PRISMATIC, to_si
 
-Z_95 = 1.96  # standard deviations on either side of 95 %
-
 
 @dataclass(frozen=True)
 class JointTravel:

@@ -23,10 +23,10 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import Result
 from stickslip_fit.laws import Rows, StepLaw, float_column
 from stickslip_fit.machine import forward, jacobian
-from stickslip_fit.moves.arm import Z_95, CalibratedArm, as_calibrated_arm, check_positions
+from stickslip_fit.moves.arm import CalibratedArm, as_calibrated_arm, check_positions
 from stickslip_fit.moves.error_ellipsoid import error_radius
 from stickslip_fit.simulation.truth import Group
-from stickslip_fit.units import JOINTS
+from stickslip_fit.units import JOINTS, Z_95
 
 MAX_ITERATIONS = 60
 STEP_TOL = 1e-6  # of a step; the last Newton step makes the error far smaller

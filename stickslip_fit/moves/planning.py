@@ -23,12 +23,12 @@ from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.with_causes import FixedCauseLaw
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.machine import forward, jacobian
-from stickslip_fit.moves.arm import Z_95, CalibratedArm, as_calibrated_arm, check_positions
+from stickslip_fit.moves.arm import CalibratedArm, as_calibrated_arm, check_positions
 from stickslip_fit.moves.dead_reckoning import position_after
 from stickslip_fit.moves.error_ellipsoid import error_radius
 from stickslip_fit.moves.path import PathSegment, TipPaths
 from stickslip_fit.simulation.truth import Group
-from stickslip_fit.units import JOINTS
+from stickslip_fit.units import JOINTS, Z_95
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,9 @@ from typing import Protocol
 
 import numpy as np
 import pandas as pd
-from scipy.special import ndtri
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.errors import InputError
-from stickslip_fit.estimation.noise import COVERAGE
 from stickslip_fit.laws import StepLaw, choose_laws, constant_law, traverse_length
 from stickslip_fit.moves import StepModel, TipPaths, TrueLaws, draw_random_paths, step_model_from_parameters
 from stickslip_fit.simulation.campaign import GROUPS
@@ -47,6 +45,7 @@ from stickslip_fit.studies.simulation import (
     seed_sequence,
     simulate_nominal_campaign,
 )
+from stickslip_fit.units import Z_95
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,9 +264,6 @@ def calibrate_by_task(
             except (NotApplicable, InputError):
                 predictors.append(None)
     return PredictorCalibrations(predictors)
-
-
-Z_95 = float(ndtri(0.5 + COVERAGE / 2))  # standard deviations; strategies know the repeatability
 
 
 def compute_step_size_errors(

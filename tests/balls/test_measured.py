@@ -17,6 +17,7 @@ def frames():
     return read_frames()
 
 
+@pytest.mark.nightly
 def test_drag_of_each_ball_is_found_in_all_drops_together(frames):
     diagnosis = ssf.diagnose_table(
         frames, LAW, session="run", time="seconds", causes=[*drags(by="ball"), SLANT], gain=False

@@ -81,6 +81,7 @@ def test_what_the_choice_of_a_law_leaves_open_adds_to_errors_alone(both):
     assert after.high - after.low > 1.2 * (before.high - before.low)
 
 
+@pytest.mark.nightly
 def test_a_spot_narrower_than_can_be_told_has_the_size_that_it_has():
     """Its width and depth are known as a product alone, and its effect is known all the same."""
     hidden = hide("many", ("worn-spot",), 12.0, seed=0)

@@ -237,6 +237,7 @@ def test_a_law_for_unknown_structure_is_searched_anew_beside_a_cause():
     assert np.sqrt(np.mean((confirmed[-1] - repeated[-1]) ** 2)) < 0.1 * after
 
 
+@pytest.mark.nightly
 def test_a_law_for_unknown_structure_before_a_cause_is_searched_anew():
     """As in the search repeated, where the cause was named after it."""
     hidden, forms = ("unknown:harmonic", "drift"), {"unknown:harmonic": "cos 3 q2"}

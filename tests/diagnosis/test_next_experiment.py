@@ -138,6 +138,7 @@ CASES = [
 ]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("design", "effect", "strength", "rival"), CASES)
 def test_what_is_proposed_decides_between_the_two_in_nineteen_of_twenty_sessions(
     design, effect, strength, rival

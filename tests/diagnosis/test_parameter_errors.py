@@ -49,6 +49,7 @@ def test_errors_are_those_of_weighted_least_squares_under_other_noise(named, mon
     assert half == pytest.approx(1.959964 * np.sqrt(np.diag(by_hand)), rel=1e-4)
 
 
+@pytest.mark.nightly
 def test_beside_memory_errors_are_those_under_correlated_noise(monkeypatch):
     """A cause that changes little from one traverse to the next is known less well.
 

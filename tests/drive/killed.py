@@ -25,7 +25,7 @@ from stickslip_fit.drive.state import VelocityInput
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.logs import read_log
 from stickslip_fit.moves import CalibratedArm, DriveReckoning, calibrated_arm
-from stickslip_fit.moves.arm import Z_95
+from stickslip_fit.units import Z_95
 
 PLACE = struct.Struct("=ddd")
 START = (0.2, -1.3, 0.006)

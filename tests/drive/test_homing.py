@@ -17,7 +17,7 @@ from stickslip_fit.drive.state import VelocityInput
 from stickslip_fit.logs import read_log
 from stickslip_fit.logs.plan import Noise
 from stickslip_fit.moves import DriveReckoning
-from stickslip_fit.moves.arm import Z_95
+from stickslip_fit.units import Z_95
 from tests.drive.rig import Hand, Shown, joint
 from tests.drive.test_loop import drive_of
 

@@ -17,7 +17,7 @@ from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import forward
 from stickslip_fit.moves import DriveReckoning, calibrated_arm
-from stickslip_fit.moves.arm import Z_95
+from stickslip_fit.units import Z_95
 from tests.drive.rig import Hand, Shown, Steps, joint, tip
 
 START = [0.2, -1.3, 0.006]

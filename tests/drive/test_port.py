@@ -11,7 +11,7 @@ import pytest
 from stickslip_fit.capture.emulator.rig import start_emulator
 from stickslip_fit.drive.record import resume_record
 from stickslip_fit.drive.session import DriveJob, drive_real
-from stickslip_fit.moves.arm import Z_95
+from stickslip_fit.units import Z_95
 
 pytest.importorskip("serial", reason="pyserial is not installed")
 pytest.importorskip("pty", reason="this system has no pseudo-terminals")

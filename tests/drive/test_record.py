@@ -12,7 +12,7 @@ from stickslip_fit.drive.diffusion import Burst
 from stickslip_fit.drive.record import DriveReplay, begin_record, resume_record
 from stickslip_fit.errors import InputError
 from stickslip_fit.moves import DriveReckoning, calibrated_arm
-from stickslip_fit.moves.arm import Z_95
+from stickslip_fit.units import Z_95
 
 START = [0.2, -1.3, 0.006]
 

@@ -5,7 +5,7 @@ gravity with the distance itself. What changes in a stage - preload, humidity, v
 wear - acts on friction, inertia, throw or time, never on a law's coefficients.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,14 +39,11 @@ class Stage:
         LuGre's friction; Coulomb's without.
     day_to_day : float
         By which friction and throw scatter.
-    bristled : collection of int
-        Joints that have the bristles; the others have Coulomb's friction.
     """
 
     regime: str = "friction"
     bristles: Bristles | None = None
     day_to_day: float = 0.02
-    bristled: Collection[int] = (1, 2, 3)
 
     def draw(self, joint: int, session: Ints, forward: Ints, rng: np.random.Generator) -> dict[str, Array]:
         """The drive of each traverse: one for each direction, a little different from day to day."""
@@ -104,7 +101,7 @@ class Stage:
         """Step size where friction accelerates by at most `friction` and the full load by `pull`."""
         v = place.values
         drive = v["throw"], v["ramp"], v["flyback"]
-        if self.bristles is None or place.joint not in self.bristled:
+        if self.bristles is None:
             return coulomb_step(friction, pull * place.load, *drive)
         shape = np.broadcast_shapes(friction.shape, place.load.shape)
         if shape[1] <= _LOADS:

@@ -4,7 +4,7 @@
 """
 
 import argparse
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,14 +86,14 @@ def stage_cases(logs: int, first: int = 0) -> Iterator[StageCase]:
         yield StageCase(regime, changes[seed // 2 % len(changes)], seed % 4 > 1, seed)
 
 
-def make_log(case: StageCase, joints: Collection[int] = (1, 2, 3)) -> ssf.Log:
-    """The traverses of some joints in the log of a case, written and read."""
+def make_log(case: StageCase) -> ssf.Log:
+    """The log of a case, written and read."""
     design = "many" if case.change == "friction:humidity" else "session"
-    stage = Stage(case.regime, Bristles() if case.lugre else None, bristled=joints)
+    stage = Stage(case.regime, Bristles() if case.lugre else None)
     table = drive_stage(design, stage, case.change, SIZE, seed=case.seed).table
     with TemporaryDirectory() as folder:
         path = Path(folder) / "log.csv"
-        table[table["joint"].isin(joints)].to_csv(path, index=False)
+        table.to_csv(path, index=False)
         return ssf.read_log(path)
 
 

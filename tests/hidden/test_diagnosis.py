@@ -46,7 +46,8 @@ def test_a_hidden_cause_is_named(cause, design):
     assert cause in (found.found[0], *found.equivalent), (found.found, hidden.truth["effects"])
 
 
-@pytest.mark.parametrize("logs", [2, pytest.param(60, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("logs", [2, 60])
 def test_the_moment_of_a_jump_is_in_its_interval(logs):
     """Of 95 %; at strengths at which a jump is always found, but its moment is open."""
     held, widths = 0, []
@@ -104,14 +105,15 @@ def test_what_no_cause_describes_is_called_unknown(effect, design):
     assert found.found[:1] == ("unknown",), found.found
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("design", "noise", "seed"),
     [
         ("session", "gaussian", 500009),
-        pytest.param("many", "t5", 500005, marks=pytest.mark.nightly),
-        pytest.param("many", "gaussian", 500002, marks=pytest.mark.nightly),
-        pytest.param("session", "t5", 500003, marks=pytest.mark.nightly),
-        pytest.param("session", "t5", 500012, marks=pytest.mark.nightly),
+        ("many", "t5", 500005),
+        ("many", "gaussian", 500002),
+        ("session", "t5", 500003),
+        ("session", "t5", 500012),
     ],
 )
 def test_strong_memory_is_unknown_and_nothing_besides(design, noise, seed):

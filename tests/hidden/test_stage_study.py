@@ -1,9 +1,7 @@
-"""Rates of what is read of logs made by friction: of 12 in every run, of 1,000 by night."""
+"""Rates of what is read of logs made by friction, of 1,000 by night."""
 
 from __future__ import annotations
 
-import os
-import pickle
 from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
@@ -14,15 +12,11 @@ from tests.hidden.stage_study import (
     WITHOUT_TRACE,
     StageCase,
     StageScore,
-    decide,
     diagnose_stage,
-    make_log,
-    score_diagnosis,
     stage_cases,
 )
 
-LOGS, LOGS_BY_NIGHT = 12, 1000
-CASES = tuple(stage_cases(LOGS, first=60_000))
+LOGS = 1000
 
 
 def at_least(share: float, results: list[bool]) -> None:
@@ -41,34 +35,10 @@ def check_rates(scores: list[StageScore]) -> None:
     at_least(0.90, [right for one in read for right in one.regimes])
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A folder that is the same in all processes of a run."""
-    own = tmp_path_factory.getbasetemp()
-    shared = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "stage-scores"
-    shared.mkdir(exist_ok=True)
-    return shared
-
-
-@pytest.mark.parametrize("case", CASES, ids=lambda case: str(case.seed))
-def test_what_changed_in_a_stage_is_read_in_12_logs(case, folder):
-    """Each is decided by itself; the last one, whichever it is, asserts the rates of all.
-
-    They are of joint 2 or 3, which are decided in a fourth of the time of a whole log.
-    """
-    joint = 2 if case.seed % 3 == 0 else 3
-    score = score_diagnosis(case, decide(make_log(case, (joint,))))
-    (folder / f"{case.seed}.part").write_bytes(pickle.dumps(score))
-    (folder / f"{case.seed}.part").rename(folder / f"{case.seed}.pickle")
-    scores = [pickle.loads(path.read_bytes()) for path in folder.glob("*.pickle")]
-    if len(scores) == LOGS:
-        check_rates(scores)
-
-
 @pytest.mark.nightly
 def test_what_changed_in_a_stage_is_read():
     with ProcessPoolExecutor() as pool:
-        check_rates(list(pool.map(diagnose_stage, stage_cases(LOGS_BY_NIGHT, first=10_000))))
+        check_rates(list(pool.map(diagnose_stage, stage_cases(LOGS, first=10_000))))
 
 
 def test_scores_know_what_is_right():

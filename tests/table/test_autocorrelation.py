@@ -102,6 +102,7 @@ def test_what_the_law_describes_already_changes_nothing_in_the_noise():
     np.testing.assert_allclose(beside, alone, rtol=1e-9)
 
 
+@pytest.mark.nightly
 def test_short_sessions_do_not_make_the_autocorrelation_too_small():
     found, plain = [], []
     for seed in range(6):

@@ -138,6 +138,7 @@ def test_every_sequence_has_four_blocks_of_its_own_or_as_many_as_it_has_rows(cor
         assert np.ptp(sizes[sizes > 0]) <= 1
 
 
+@pytest.mark.nightly
 def test_a_wave_under_a_wander_is_judged_by_each_row_given_those_before_it():
     """A random walk of 1.8 hides a wave of 0.25 rms in the errors themselves."""
     rng, hours = np.random.default_rng(4), np.arange(480.0)

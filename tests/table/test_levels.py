@@ -150,6 +150,7 @@ def test_texts_that_do_nothing_are_not_named():
     assert alarms.count("nothing wrong") >= 7
 
 
+@pytest.mark.nightly
 def test_a_table_of_nothing_but_texts_is_explained_to_the_end():
     rng = np.random.default_rng(5)
     one, other = rng.integers(3, size=60), rng.integers(2, size=60)

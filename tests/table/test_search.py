@@ -83,6 +83,7 @@ def test_every_generic_cause_is_named(name):
     assert wrong <= 0.1
 
 
+@pytest.mark.nightly
 def test_outliers_of_a_signal_are_those_rows_alone():
     rows = signal(np.random.default_rng(3), "0.9", 1, 300)
     rows.loc[[50, 200], "F"] += 5.0
@@ -91,6 +92,7 @@ def test_outliers_of_a_signal_are_those_rows_alone():
     np.testing.assert_allclose(sorted(outliers.traverses["t"]), [0.5, 2.0])
 
 
+@pytest.mark.nightly
 def test_a_lasting_change_in_a_signal_is_no_outlier():
     rows, _ = with_effect(signal(np.random.default_rng(5), "0.5", 1, 300), "0.5", "sudden-change", 25.0)
     assert "sudden-change" in [one.cause for one in search(rows).findings]

@@ -133,6 +133,7 @@ def falls(rng, curvatures, noise):
     return pd.concat(records, ignore_index=True)
 
 
+@pytest.mark.nightly
 def test_what_a_law_lacks_in_each_session_in_its_own_way_is_no_noise_that_persists(tmp_path):
     """Quarters of a session are held out, so that the first and the last one are extrapolated."""
     rng = np.random.default_rng(12)
@@ -188,7 +189,8 @@ def test_what_noise_that_persists_did_while_samples_are_missing_is_no_sudden_cha
     assert not ssf.diagnose_table(frame, "y ~ mean", time="t", gain=False).findings
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_wave_with_harmonics_whose_size_grows_is_one_finding(seed):
     rng, hours = np.random.default_rng(seed), np.arange(480.0)
     day = 2.0 * np.pi * hours / 24.0

@@ -144,6 +144,7 @@ def swinging(seed, coefficients, n=360):
     return lfilter([1.0], [1.0, *(-np.array(coefficients))], rng.standard_normal(n + 300))[300:]
 
 
+@pytest.mark.nightly
 def test_a_strict_period_is_told_from_noise_with_memory():
     t = np.arange(360) / 12.0
     wave = 1.5 * np.sin(2.0 * np.pi * (t - 0.1)) + 0.6 * np.cos(4.0 * np.pi * t)
@@ -225,6 +226,7 @@ def test_offsets_of_groups_are_no_function_of_a_column_that_is_called_group():
     assert {"unknown:group", "covariate:group"} <= {one.cause for one in found}
 
 
+@pytest.mark.nightly
 def test_what_comes_and_goes_slowly_at_irregular_times_gets_a_law():
     rng = np.random.default_rng(9)
     t = np.sort(rng.uniform(0.0, 1000.0, 50))
