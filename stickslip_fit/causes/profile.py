@@ -45,6 +45,8 @@ class AlongTravel(LinearFactor):
         Joints that it acts on, with the lowest and the highest position of their traverses.
     by_direction : bool
         Whether each direction has a function of its own.
+    only : {"", "+", "-"}
+        The one direction in which it acts; empty for both.
     shape : tuple of float
         Prior standard deviations of the cosines' coefficients for a function of rms 1.
     amplitude : float or None
@@ -54,6 +56,7 @@ class AlongTravel(LinearFactor):
 
     travel: tuple[tuple[int, float, float], ...] = NOMINAL_TRAVEL
     by_direction: bool = False
+    only: str = ""
     shape: tuple[float, ...] = tuple(prior_sds(LENGTHS[1]).tolist())
     amplitude: float | None = None
 
@@ -72,7 +75,7 @@ class AlongTravel(LinearFactor):
     @cached_property
     def groups(self) -> tuple[tuple[int, str | None], ...]:
         """Joint and direction of each function; None for both directions."""
-        directions = ("+", "-") if self.by_direction else (None,)
+        directions = ("+", "-") if self.by_direction else (self.only or None,)
         return tuple((joint, direction) for joint, _, _ in self.travel for direction in directions)
 
     @cached_property
@@ -119,17 +122,16 @@ class AlongTravel(LinearFactor):
         return None if _find_travel(rows) else "every traverse of a joint runs the same range"
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`: each length and all, joint by joint and all together, by direction or not."""
+        """See `Cause.trials`: each length and all, of one joint or all, of both directions, each or one."""
         versions = [self]
         if self.amplitude is None:
             joints = [(one,) for one in self.travel] + ([self.travel] if len(self.travel) > 1 else [])
-            directions = (False, True) if rows["direction"].nunique() > 1 else (False,)
             shapes = [*(prior_sds(length) for length in LENGTHS), rough_prior_sds()]
             versions = [
-                replace(self, travel=travel, by_direction=each, shape=tuple(shape.tolist()))
+                replace(self, travel=travel, by_direction=each, only=only, shape=tuple(shape.tolist()))
                 for shape in shapes
                 for travel in joints
-                for each in directions
+                for each, only in _directions_of(rows, travel)
             ]
         return [(version, np.diag(version.scale)) for version in versions]
 
@@ -178,6 +180,8 @@ class AlongTravel(LinearFactor):
 
     @property
     def _ending(self) -> str:
+        if self.only:
+            return f", in direction {format_direction(self.only)} only"
         return ", differently in the two directions" if self.by_direction else ""
 
     def _acts_on(self, joint: int, sign: Array) -> Array:
@@ -213,6 +217,14 @@ def _find_travel(rows: pd.DataFrame) -> tuple[tuple[int, float, float], ...]:
     return tuple(travel)
 
 
+def _directions_of(rows: pd.DataFrame, travel: Sequence[tuple[int, float, float]]) -> list[tuple[bool, str]]:
+    """Whether each direction has a function of its own, or the only one: of joints that went both ways."""
+    inside = rows["joint"].isin([joint for joint, _, _ in travel])
+    if rows.loc[inside, "direction"].nunique() < 2:
+        return [(False, "")]
+    return [(False, ""), (True, ""), (False, "+"), (False, "-")]
+
+
 def _cosine_integrals(share: Array, number: int) -> Array:
     """Integrals of `cosines` from 0 to each share of the travel, (n, m) -> (n, m, number)."""
     turns, inside = np.pi * np.arange(1, number + 1), np.clip(share, 0.0, 1.0)
@@ -235,4 +247,6 @@ def _rms_interval(values: Array, covariance: Array) -> Interval:
 
 def _describe_joint(joint: int | None, sizes: dict[tuple[int | None, str | None], str]) -> str:
     own = [(direction, size) for (of, direction), size in sizes.items() if of == joint]
-    return join_words([f"{size} ({format_direction(one)})" if one else size for one, size in own])
+    if len(own) == 1:
+        return own[0][1]
+    return join_words([f"{size} ({format_direction(str(one))})" for one, size in own])

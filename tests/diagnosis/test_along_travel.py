@@ -65,6 +65,18 @@ def test_a_profile_of_any_shape_is_named_and_learned(tmp_path, joint, by_directi
     assert np.sqrt(np.mean((predicted - inside) ** 2)) < 0.1 * diagnosis.repeatability
 
 
+def test_of_a_profile_in_one_direction_nothing_is_said_of_the_other(tmp_path):
+    """With a prior size for both directions the other would have a profile of a third of it."""
+    both = draw_profile(np.random.default_rng(2), 0.02, False)
+    path = tmp_path / "log.csv"
+    write_profile_log(path, 2, lambda share, sign: both(share, sign) * (sign > 0), seed=2)
+    (finding,) = ssf.diagnose(ssf.read_log(path), gain=False).findings
+    (rms,) = finding.parameters
+    assert (finding.cause, rms.joint, rms.direction) == ("along-travel", 2, "+")
+    assert 0.5 * rms.size.low < 0.02 < 1.5 * rms.size.high  # of a joint whose ends few traverses reach
+    assert "rms along its travel, in direction + only" in finding.version.describe(finding.parameters)
+
+
 # Joint 1 has too few traverses here: its law takes 40 of their 70 degrees of freedom.
 @pytest.mark.nightly
 @pytest.mark.parametrize("by_direction", [False, True])
