@@ -31,6 +31,7 @@ N_WAVES = 6
 MAX_PERIODS = 600
 MAX_ELEMENTS = 20_000_000  # of the configuration indicators; larger ones are left out
 MIN_TRAVERSES_PER_PERIOD = 2.0
+MIN_ALTERNATION = 0.9  # of the product of direction and parity, its mean in a session
 
 
 def build_unstructured_alternatives(linearized: LinearizedFit) -> Iterator[Hypothesis | AR1]:
@@ -84,9 +85,11 @@ def _periodic_alternatives(
     rows = linearized.rows
     session, names = pd.factorize(rows["session"].astype(object))
     values = rows[clock].to_numpy(float)
-    periods = choose_periods(values, session)
-    pairs = _cosines_and_sines(values, 1.0 / periods) * (SMOOTH_SCALE / linearized.scale)[:, None, None]
     sign = linearized.direction_sign
+    periods = choose_periods(values, session)
+    if clock == "session_order" and _alternates(sign, values, session):
+        periods = periods[periods >= 2 * MIN_TRAVERSES_PER_PERIOD]
+    pairs = _cosines_and_sines(values, 1.0 / periods) * (SMOOTH_SCALE / linearized.scale)[:, None, None]
     plain = PeriodicTerm((clock,), ((0.0, float(values.max())),), sessions=tuple(map(str, names)))
     same = [replace(plain, period=period) for period in periods.tolist()]
     alike = build_per_session_hypotheses(_names(same), len(rows), sessions, pairs, same)
@@ -97,6 +100,16 @@ def _periodic_alternatives(
     opposite, turned_pairs = [replace(one, mode="opposite") for one in same], pairs * sign[:, None, None]
     names = _names(opposite)
     return [*alike, *build_per_session_hypotheses(names, len(rows), sessions, turned_pairs, opposite)]
+
+
+def _alternates(sign: Array, order: Array, session: npt.NDArray[np.intp]) -> bool:
+    """Whether traverses go to and fro, so that a wave is one of opposite sign with another period.
+
+    Of f periods a traverse and of 1/2 - f the slower is meant. What changes slowly, alike in both directions,
+    would else be a fast wave of opposite sign.
+    """
+    turns = pd.Series(sign * (-1.0) ** order).groupby(session).mean()
+    return bool((turns.abs() > MIN_ALTERNATION).all())
 
 
 def _names(versions: Iterable[PeriodicTerm]) -> list[str]:

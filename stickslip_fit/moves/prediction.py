@@ -13,6 +13,7 @@ from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.result import convert_predictions
 from stickslip_fit.laws import observed_count
+from stickslip_fit.logs.history import FURTHER_HISTORY
 from stickslip_fit.logs.plan import Plan
 from stickslip_fit.simulation.campaign import INITIAL_HISTORY, drive_through, uses_history
 
@@ -55,7 +56,8 @@ def predict(
         fitted = fitted.for_session_to_come()
     rows = _add_expected_history(fitted, plan, session, conditions or {})
     # A plan repeats traverses; each is predicted once.
-    keys = [name for name in (*TRAVERSE_COLUMNS, *INITIAL_HISTORY, *(conditions or ())) if name in rows]
+    differing = (*TRAVERSE_COLUMNS, *INITIAL_HISTORY, *FURTHER_HISTORY, *(conditions or ()))
+    keys = [name for name in differing if name in rows]
     index = rows.groupby(keys, dropna=False, sort=False, observed=True).ngroup().to_numpy()
     _, first = np.unique(index, return_index=True)
     distinct = rows.iloc[first].reset_index(drop=True)

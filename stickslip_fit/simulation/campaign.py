@@ -22,7 +22,7 @@ from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import InputError, check_count
 from stickslip_fit.laws import Rows, StepLaw, expected_steps, float_column, observed_count
 from stickslip_fit.logs import Log, add_history
-from stickslip_fit.logs.history import DEPARTURES, follow_departures
+from stickslip_fit.logs.history import DEPARTURES, FURTHER_HISTORY, follow_departures
 from stickslip_fit.logs.plan import NoiseKind, Plan
 from stickslip_fit.logs.reader import DIRECTIONS
 from stickslip_fit.logs.schema import CONDITIONS
@@ -115,7 +115,7 @@ def drive_through(
 
 def uses_history(law: StepLaw) -> bool:
     """Whether a law's counts depend on time or history."""
-    return not INITIAL_HISTORY.keys().isdisjoint(law.columns)
+    return not {*INITIAL_HISTORY, *FURTHER_HISTORY}.isdisjoint(law.columns)
 
 
 def follows_departures(law: StepLaw) -> bool:

@@ -1,8 +1,11 @@
 """Hypotheses as subspaces, beside a cause in the laws."""
 
+import re
+
 import numpy as np
 import pytest
 
+from stickslip_fit.diagnosis.alternatives import build_unstructured_alternatives
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.extension import compute_evidence, extend_problem, make_selected
 from stickslip_fit.diagnosis.hypotheses import Hypothesis
@@ -35,6 +38,25 @@ def test_functions_of_each_session_explain_no_more_than_there_is():
         residual = linearized.project(one.directions)
         explained = np.array([np.sum(one.coefficients(column) ** 2) for column in residual.T])
         assert np.all(explained <= np.sum(residual**2, axis=0) * (1 + 1e-9))
+
+
+def test_a_wave_is_described_by_its_slower_period_where_traverses_go_to_and_fro():
+    """Of the thesis' plan; where directions come in no order, all periods down to two traverses differ."""
+    for design, fastest in (("thesis", 4.0), ("session", 2.0)):
+        linearized = problem_from_log(read_hidden(hide(design, seed=4)))[0].linearize()
+        waves = {
+            one.cause: one
+            for one in build_unstructured_alternatives(linearized)
+            if re.match(r"unknown:period of .* traverses", one.cause)
+        }
+        assert min(one.version.period for one in waves.values()) == pytest.approx(fastest, rel=0.02)
+        if design == "thesis":
+            phase = 2 * np.pi * linearized.rows["session_order"].to_numpy(float) * 0.46
+            wave = linearized.project((np.cos(phase) / linearized.scale)[:, None])[:, 0]
+            explained = {name: np.sum(one.coefficients(wave) ** 2) for name, one in waves.items()}
+            likeliest = waves[max(explained, key=explained.__getitem__)].version
+            assert likeliest.mode == "opposite"
+            assert likeliest.period == pytest.approx(1 / 0.04, rel=0.02)
 
 
 @pytest.mark.parametrize("design", ["session", "thesis", "many"])
