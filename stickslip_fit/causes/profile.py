@@ -218,11 +218,16 @@ def _find_travel(rows: pd.DataFrame) -> tuple[tuple[int, float, float], ...]:
 
 
 def _directions_of(rows: pd.DataFrame, travel: Sequence[tuple[int, float, float]]) -> list[tuple[bool, str]]:
-    """Whether each direction has a function of its own, or the only one: of joints that went both ways."""
-    inside = rows["joint"].isin([joint for joint, _, _ in travel])
-    if rows.loc[inside, "direction"].nunique() < 2:
+    """Whether each direction has a function of its own, or the only one, which traverses there can show."""
+    own = rows[rows["joint"].isin([joint for joint, _, _ in travel])]
+    by_direction = dict(list(own.groupby("direction")))
+    if len(by_direction) < 2:
         return [(False, "")]
-    return [(False, ""), (True, ""), (False, "+"), (False, "-")]
+    return [
+        (False, ""),
+        (True, ""),
+        *((False, str(way)) for way, one in by_direction.items() if _find_travel(one)),
+    ]
 
 
 def _cosine_integrals(share: Array, number: int) -> Array:
