@@ -10,6 +10,7 @@ import pandas as pd
 
 from stickslip_fit._format import format_percent, format_significant, pluralize
 from stickslip_fit.causes import SizedParameter
+from stickslip_fit.diagnosis.lagged import LaggedColumn
 from stickslip_fit.units import UNITS, Interval, from_si
 
 GIVEN_BEFORE = "each given those before it"  # of errors in noise that persists, see `Gain.given_before`
@@ -135,6 +136,8 @@ class Finding:
         ask where its form may bend.
     explains_by_equation : mapping of str to float
         The same by the cause's equation alone, for causes of which that has one shape.
+    lagged : LaggedColumn or None
+        For ``unknown``: a column that the structure follows with a lag.
     """
 
     cause: str
@@ -155,6 +158,7 @@ class Finding:
     term: str = ""
     explains: Mapping[str, float] = field(default_factory=dict)
     explains_by_equation: Mapping[str, float] = field(default_factory=dict)
+    lagged: LaggedColumn | None = None
 
     @property
     def cause_set(self) -> tuple[str, ...]:

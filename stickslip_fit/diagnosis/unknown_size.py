@@ -34,6 +34,7 @@ from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength, 
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, joints_of_laws
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.lack_of_fit import LackOfFit
+from stickslip_fit.diagnosis.lagged import find_lagged_column
 from stickslip_fit.diagnosis.linearized import LinearizedFit, rms
 from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause, remove_structure
@@ -66,6 +67,8 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
     )
     is_cause = not best.cause.startswith(UNKNOWN)
     carrier = f"{best.cause}{TO_SOME_EXTENT}" if is_cause else best.cause.removeprefix(f"{UNKNOWN}:")
+    baseline = selection.problem.linearize()
+    explained = baseline.residual - baseline.project(baseline.whiten(selection.fit.residual))
     return Finding(
         UNKNOWN,
         None,
@@ -75,6 +78,7 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
         effect,
         (),
         carrier=carrier,
+        lagged=find_lagged_column(baseline, shape if selected.version is None else explained),
         **_compare_causes(misfit, shape),
     )
 
