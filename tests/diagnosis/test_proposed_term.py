@@ -241,6 +241,20 @@ def test_rows_weigh_as_the_noise_that_was_found(tmp_path):
     assert errors[0] < 0.7 * errors[1]
 
 
+def test_the_size_of_a_single_outlying_count_is_known_within_its_noise():
+    """And no better: the interval of one value is not that of values among each other."""
+    log = read_hidden(hide("thesis", (), 0.0, "gaussian", (), 5))
+    log = log.select(log.rows["joint"] == 3)
+    row = log.rows.index[68]
+    log.rows.loc[row, "steps"] = round(np.exp(0.15) * log.rows.loc[row, "steps"])
+    found = ssf.diagnose(log, seed=1, gain=False)
+    (finding,) = found.findings
+    size = finding.parameters[1].size
+    assert size.low < 0.15 < size.high
+    assert size.low < size.estimate < size.high
+    assert 1.9 < (size.high - size.low) / 2 / found.repeatability < 4.0
+
+
 def law_for(linearized, alternatives, column, expressions, strength=25.0):
     """The law proposed for a change of the log counts, shape (n,), in noise, and the error of its fit.
 
