@@ -193,15 +193,16 @@ def format_length(value: float) -> str:
     return f"{format_plain(from_si(value, 'mm'))} mm"
 
 
-def format_coordinate(name: str, value: float) -> str:
-    """One coordinate of a configuration of the published arm.
+def format_coordinate(name: str, value: float, machine: JointKinds) -> str:
+    """One coordinate of a configuration.
 
     Examples
     --------
-    >>> format_coordinate("q3", 0.012), format_coordinate("theta", 0.0)
-    ('q3 = 12 mm', 'theta = 0°')
+    >>> from stickslip_fit.machine import load_machine
+    >>> [format_coordinate(name, 0.012, load_machine()) for name in ("q3", "theta")]
+    ['q3 = 12 mm', 'theta = 0.688°']
     """
-    return f"{name} = {format_length(value) if name == 'q3' else format_angle(value)}"
+    return f"{name} = {format_position(value, _joint_of(name), machine)}"
 
 
 def format_configuration(row: pd.Series, machine: JointKinds) -> str:

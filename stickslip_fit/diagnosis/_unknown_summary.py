@@ -31,7 +31,7 @@ from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
 from stickslip_fit.logs.history import DEPARTURES
 from stickslip_fit.logs.log import has_replicates
-from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
+from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, is_coordinate
 from stickslip_fit.machine import Machine, load_machine, mean_load
 from stickslip_fit.units import Z_95, from_si
 
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from stickslip_fit.diagnosis import Diagnosis
 
 POSITION, LOAD = "position", "load"
-ANGLES = ("q1", "q2", "q3", "theta", "psi")
 MIN_EXPLAINED, MAX_EXPLAINING = 0.05, 5  # share of a structure; causes in the table
 MIN_BENT = 0.1  # share of a structure that a cause explains only bent, from which that is told
 OPPOSITE = ", with opposite signs in the two directions"
@@ -272,15 +271,17 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
     if getattr(finding.version, "sessions", ()):
         return "Another session will have another one, so that this one predicts within its session only."
     selection = diagnosis.selection
-    change, rows = term_change(selection, selection.behind(finding).version), selection.problem.rows
+    version, rows = selection.behind(finding).version, selection.problem.rows
+    # The change of the count is minus the sum of each parameter times its function.
+    change = version.of_sum(-term_change(selection, version))[0] - 1.0
     machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
     # Within one joint and direction, so that nothing else has to differ.
     groups = rows.groupby(["joint", "direction"], observed=True).indices.values()
     inside = max(groups, key=lambda places: float(np.ptp(change[places])))
     places = []
-    for extreme in (np.argmin, np.argmax):
+    for extreme in (np.argmax, np.argmin):
         place = int(inside[extreme(change[inside])])
-        row, size = rows.iloc[place], -float(np.expm1(change[place]))
+        row, size = rows.iloc[place], float(change[place])
         way = "" if _is_same_both_ways(finding) else f" {format_direction(str(row['direction']))}"
         where = join_words([_format_carrier(name, row, machine) for name in carriers])
         places.append(f"joint {row['joint']}{way} at {where} (steps {format_percent(size, signed=True)})")
@@ -298,8 +299,8 @@ def _is_same_both_ways(finding: Finding) -> bool:
 def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
     """A carrier's name and its value on one traverse."""
     label = name_carrier(name)
-    if name in ANGLES:
-        return format_coordinate(name, float(row[name]))
+    if is_coordinate(name):
+        return format_coordinate(name, float(row[name]), machine)
     if name == POSITION:
         joint = int(row["joint"])
         return f"q{joint} about {format_position(float(row['start'] + row['stop']) / 2, joint, machine)}"

@@ -103,7 +103,7 @@ def test_the_traverses_that_test_it_are_those_where_its_effect_is_at_its_extreme
     sentence = describe_test(proposed.findings[0], proposed)
     told = re.findall(r"joint (\d)(?: [+−])? at psi = (−?\d+)° \(steps ([+−]?[\d.]+) %\)", sentence)
     assert len(told) == 2
-    steps = -100 * np.expm1(hidden.effect("unknown:angle"))
+    steps = 100 * np.expm1(-hidden.effect("unknown:angle"))
     psi, said = (np.array([each[k].replace("−", "-") for each in told], dtype=float) for k in (1, 2))
     true = np.array([steps[hidden.table["psi_deg"] == each].mean() for each in psi])
     assert abs(np.diff(true)) > 0.7 * np.ptp(steps)
