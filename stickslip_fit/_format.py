@@ -193,15 +193,16 @@ def format_length(value: float) -> str:
     return f"{format_plain(from_si(value, 'mm'))} mm"
 
 
-def format_coordinate(name: str, value: float) -> str:
-    """One coordinate of a configuration of the published arm.
+def format_coordinate(name: str, value: float, machine: JointKinds) -> str:
+    """One coordinate of a configuration.
 
     Examples
     --------
-    >>> format_coordinate("q3", 0.012), format_coordinate("theta", 0.0)
-    ('q3 = 12 mm', 'theta = 0°')
+    >>> from stickslip_fit.machine import load_machine
+    >>> [format_coordinate(name, 0.012, load_machine()) for name in ("q3", "theta")]
+    ['q3 = 12 mm', 'theta = 0.688°']
     """
-    return f"{name} = {format_length(value) if name == 'q3' else format_angle(value)}"
+    return f"{name} = {format_position(value, _joint_of(name), machine)}"
 
 
 def format_configuration(row: pd.Series, machine: JointKinds) -> str:
@@ -377,8 +378,10 @@ def format_significant(value: float, digits: int = SIGNIFICANT_DIGITS) -> str:
     return _with_decimals(value, digits - 1 - power, power)
 
 
-def format_measured(interval: Interval, unit: str = "") -> str:
+def format_measured(interval: Interval, unit: str = "", least: float = 0.0) -> str:
     """An estimate in a unit that is not converted, down to the second digit of its uncertainty.
+
+    That counts as no smaller than `least`, also in `format_measured_range`.
 
     Examples
     --------
@@ -387,13 +390,13 @@ def format_measured(interval: Interval, unit: str = "") -> str:
     >>> format_measured(Interval(0.0021, 0.0, 0.9))  # a size is never shown as 0
     '0.002'
     """
-    power, decimals = _common_scale(interval)
+    power, decimals = _common_scale(interval, least)
     if not isfinite(interval.estimate):
         return UNKNOWN_VALUE
     return f"{_with_decimals(interval.estimate, decimals, power)}{_beside(unit)}"
 
 
-def format_measured_range(interval: Interval) -> str:
+def format_measured_range(interval: Interval, least: float = 0.0) -> str:
     """An interval to as many digits as `format_measured` shows of its estimate; `MISSING` where unknown.
 
     Examples
@@ -405,7 +408,7 @@ def format_measured_range(interval: Interval) -> str:
     """
     if not (isfinite(interval.low) and isfinite(interval.high)):
         return MISSING
-    power, decimals = _common_scale(interval)
+    power, decimals = _common_scale(interval, least)
     return " to ".join(_with_decimals(end, decimals, power) for end in (interval.low, interval.high))
 
 
@@ -421,11 +424,11 @@ def format_share(share: Interval) -> str:
     return f"{format_measured(shown, '%')} ({format_measured_range(shown)} %)"
 
 
-def _common_scale(interval: Interval) -> tuple[int, int]:
+def _common_scale(interval: Interval, least_half: float = 0.0) -> tuple[int, int]:
     """Power of ten and decimals for an estimate and both ends of its interval."""
     known = [abs(x) for x in (interval.estimate, interval.low, interval.high) if isfinite(x)]
     power = _power_of(max(known, default=0.0))
-    half = abs(interval.high - interval.low) / 2
+    half = max(abs(interval.high - interval.low) / 2, least_half)
     if not isfinite(half) or half <= 0:
         return power, SIGNIFICANT_DIGITS - 1 - power
     is_size = isfinite(interval.estimate) and interval.low >= 0

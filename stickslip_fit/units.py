@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import pi
+from itertools import product
+from math import pi, prod
 
 import numpy as np
 
@@ -88,7 +90,41 @@ _UNIT_LIST = (
     Unit("Hz"),
     Unit("kHz", 1_000),
 )
-UNITS = {unit.symbol: unit for unit in _UNIT_LIST}
+COORDINATE_UNITS = ("deg", "mm", "h")  # in which the positions of joints and the time are shown
+MAX_POWER = 3  # of all of them together in a term: of a product of a square and another one
+
+
+def share_per(powers: Mapping[str, int]) -> str:
+    """The unit of a share for each unit of some coordinates, by their powers.
+
+    Examples
+    --------
+    >>> share_per({}), share_per({"mm": 2}), share_per({"h": 1, "deg": 1})
+    ('%', '%/mm²', '%/(deg h)')
+    """
+    exponents = {1: "", 2: "²", 3: "³"}
+    below = [f"{name}{exponents[powers[name]]}" for name in COORDINATE_UNITS if powers.get(name)]
+    return "%" if not below else f"%/{below[0]}" if len(below) == 1 else f"%/({' '.join(below)})"
+
+
+def _shares_per(units: Mapping[str, Unit]) -> Iterator[Unit]:
+    for powers in product(range(MAX_POWER + 1), repeat=len(COORDINATE_UNITS)):
+        symbol = share_per(dict(zip(COORDINATE_UNITS, powers, strict=True)))
+        if sum(powers) <= MAX_POWER and symbol not in units:
+            below = [
+                units[name]
+                for name, power in zip(COORDINATE_UNITS, powers, strict=True)
+                for _ in range(power)
+            ]
+            numerator, denominator = (
+                prod(one.denominator for one in below),
+                prod(one.numerator for one in below),
+            )
+            yield Unit(symbol, numerator, 100 * denominator)
+
+
+_LISTED = {unit.symbol: unit for unit in _UNIT_LIST}
+UNITS = _LISTED | {unit.symbol: unit for unit in _shares_per(_LISTED)}
 
 # The spelling of a unit inside a column name or a TOML key, where µ and % are hard to type.
 SUFFIXES = {

@@ -8,6 +8,7 @@ follows what the step size of the traverse before had beyond its law.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -21,11 +22,15 @@ from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.parameters import CauseParameter, Row
 from stickslip_fit.causes.smooth import LinearFactor, LogLinearFactor, cosines, harmonics, wave_products
 from stickslip_fit.laws import State, StepLaw, state_at
-from stickslip_fit.units import from_si
+from stickslip_fit.logs.schema import COVARIATE_PREFIX
+from stickslip_fit.units import COORDINATE_UNITS, from_si, share_per
 
 ANGLES = ("q1", "q2", "q3", "theta", "psi")  # the joint's own excepted, which is the position
 POSITION, LOAD, BEFORE_DIRECTION = "position", "load", "before_direction"
 PAUSES = ("pause", "joint_pause")  # s, of which a function follows the logarithm
+FORMULA_NAMES = {"session_seconds": "session time"} | {
+    name: f"log(1 + {name.replace('_', ' ')} / s)" for name in PAUSES
+}  # of carriers in formulas, where they have not their own
 SMOOTH_SCALE = 0.01  # of a smooth function's coefficients
 Mode = Literal["same", "opposite"]
 
@@ -402,26 +407,71 @@ class CarrierFunction:
         One of `EXPRESSIONS`.
     carrier : str
     middle, unit : float
-        0 and 1 for angles and loads.
+        SI; 0 and 1 for positions, angles and loads.
+    shown : str
+        Unit in which texts have the carrier; empty for a number without one.
     """
 
     expression: str
     carrier: str
     middle: float = 0.0
     unit: float = 1.0
+    shown: str = ""
 
     def values(self, carrier: Array) -> Array:
         """From values of the carrier, of any shape; 0 where it is unknown."""
         return np.nan_to_num(EXPRESSIONS[self.expression]((carrier - self.middle) / self.unit))
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is of the carrier itself, with its unit, and not of a number."""
+        return (self.middle, self.unit) == (0.0, 1.0) and self.shown in ("", *COORDINATE_UNITS)
+
+    @property
+    def powers(self) -> dict[str, int]:
+        """The unit that it has itself, with its power; what is inside a sine or a logarithm has none."""
+        power = {"x": 1, "|x|": 1, "x^2": 2}.get(self.expression, 0)
+        return {self.shown: power} if self.is_plain and self.shown and power else {}
+
     def __str__(self) -> str:
-        name = self.carrier.replace("_", " ")
-        name = f"log(1 + {name} / s)" if self.carrier in PAUSES else name
-        if self.unit != 1.0:
-            name = f"({name} - mean) / half range" if self.middle else f"{name} / largest"
-            name = f"({name})" if self.expression == "x^2" else name
-        expression = self.expression.replace("2 x", "2*x").replace("3 x", "3*x")
-        return expression.replace("x", name) if expression != "x^2" else f"{name}^2"
+        """As a formula that is true in the units shown.
+
+        Examples
+        --------
+        >>> str(CarrierFunction("sin(2 x)", "q1", shown="deg"))
+        'sin(2*q1)'
+        >>> str(CarrierFunction("log(1 + x)", "session_seconds", 0.0, 5400.0, "h"))
+        'log(1 + session time / 1.5 h)'
+        >>> str(CarrierFunction("x^2", "temperature", 294.4, 1.25, "°C"))
+        '((temperature - 21.25 °C) / 1.25 K)^2'
+        """
+        name = FORMULA_NAMES.get(self.carrier, self.carrier.replace("_", " "))
+        name = self.carrier.removeprefix(COVARIATE_PREFIX) if ":" in self.carrier else name
+        if self.is_plain:
+            return write_expression(self.expression, name)
+        apart = "K" if self.shown == "°C" else self.shown
+        middle = from_si(self.middle, self.shown) if self.middle and self.shown else self.middle
+        unit = from_si(self.unit, apart) if self.shown else self.unit
+        return write_expression(self.expression, write_quotient(name, middle, unit, self.shown, apart))
+
+
+def write_quotient(name: str, middle: float, unit: float, beside: str = "", apart: str = "") -> str:
+    """``(name - middle) / unit``, with the units of a value and of a difference where they have one."""
+    value, size = (f"{abs(x):.10g} {symbol}".rstrip() for x, symbol in ((middle, beside), (unit, apart)))
+    return f"({name} {'-' if middle > 0 else '+'} {value}) / {size}" if middle else f"{name} / {size}"
+
+
+def write_expression(expression: str, inner: str) -> str:
+    """An expression of what is inside it.
+
+    Examples
+    --------
+    >>> write_expression("x", "load / 2"), write_expression("x^2", "q3"), write_expression("|x|", "load / 2")
+    ('(load / 2)', 'q3^2', '|load / 2|')
+    """
+    breaks = {"x": "/", "x^2": " "}.get(expression)
+    inner = f"({inner})" if breaks and breaks in inner else inner
+    return expression.replace("2 x", "2*x").replace("3 x", "3*x").replace("x", inner)
 
 
 @dataclass(frozen=True)
@@ -430,22 +480,36 @@ class ProposedTerm(LinearFactor):
 
     Attributes
     ----------
-    factors : tuple of (str, str, float, float)
-        Each a `CarrierFunction`.
+    factors : tuple of (str, str, float, float, str)
+        Each a `CarrierFunction`; files of earlier versions have no unit in which it is shown.
     on, mode
         As of a `SmoothTerm`.
+    largest : float
+        Size of the product, SI, where it is largest.
     """
 
-    factors: tuple[tuple[str, str, float, float], ...] = (("x", POSITION, 0.0, 1.0),)
+    factors: tuple[tuple[Any, ...], ...] = (("x", POSITION, 0.0, 1.0),)
     on: tuple[tuple[int, str], ...] = ()
     mode: Mode = "same"
+    largest: float = 1.0
 
     name = "proposed-term"
     phrase = "steps follow a term that no cause describes"
     physics = "Whatever stands behind it: of all short expressions this one describes the log best."
     shows_best = "configurations in which the term is smallest and greatest"
-    parameters = (CauseParameter("k", "%", "size of the proposed term"),)
-    scale = (SMOOTH_SCALE,)
+
+    @cached_property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`: in the unit that makes the formula true."""
+        powers = Counter[str]()
+        for factor in self.factors:
+            powers.update(CarrierFunction(*factor).powers)
+        return (CauseParameter("k", share_per(powers), f"size of the proposed term {self.formula}"),)
+
+    @property
+    def scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        return (SMOOTH_SCALE / self.largest,)
 
     @property
     def carriers(self) -> tuple[str, ...]:
@@ -499,12 +563,12 @@ class CarryOverTerm(ProposedTerm):
     Attributes
     ----------
     factors : tuple of (str, str, float, float)
-        One, "x" of a column of `DEPARTURES`.
+        One, "x" of a column of `DEPARTURES`, a share.
     on : tuple of (int, str)
         As of a `SmoothTerm`.
     """
 
-    factors: tuple[tuple[str, str, float, float], ...] = (("x", "departure_before", 0.0, 1.0),)
+    factors: tuple[tuple[Any, ...], ...] = (("x", "departure_before", 0.0, 1.0),)
 
     name = "carry-over-term"
     phrase = "steps follow what the traverse before departed by"

@@ -235,13 +235,9 @@ class ColumnFunction:
         >>> str(ColumnFunction("x^2", "speed", 14.5, 10.5)), str(ColumnFunction("log(x)", "speed", 0.0, 12.0))
         ('((speed - 14.5) / 10.5)^2', 'log(speed / 12)')
         """
-        middle, unit = f"{abs(self.middle):.4g}", f"{self.unit:.4g}"
-        sign = "-" if self.middle > 0 else "+"
-        shifted = f"({self.column} {sign} {middle})" if self.middle else self.column
-        inner = f"{shifted} / {unit}"
-        if self.expression == "x":
-            return f"({inner})"
-        return self.expression.replace("x", f"({inner})" if self.expression == "x^2" else inner)
+        return proposed.write_expression(
+            self.expression, proposed.write_quotient(self.column, self.middle, self.unit)
+        )
 
 
 EXPRESSIONS: dict[str, Callable[[Array], Array]] = {
@@ -280,7 +276,7 @@ class ProposedTableTerm(AddedTerm):
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `Cause`."""
-        return (CauseParameter("k", TableUnit(self.unit), "size of the proposed term"),)
+        return (CauseParameter("k", TableUnit(self.unit), f"size of the proposed term {self.formula}"),)
 
     @property
     def formula(self) -> str:

@@ -401,14 +401,26 @@ def check_same_machine(result: Result, machine: Machine, path: Path) -> None:
         raise InputError(InputIssue(message, str(path)))
 
 
+PLAN_SAYS = {
+    "session_seconds": "a plan times its traverses itself, from the start of each session on: leave this "
+    "out, and change pause_s in its table [timing], or the order of the traverses",
+    "step_period": "a plan has its own step period: leave this out, and change step_period_ms in its table "
+    "[timing]",
+}
+
+
 def parse_plan_conditions(conditions: list[str] | None, result: Result) -> dict[str, float]:
     """Conditions for the laws of a result that a plan does not give itself."""
     from stickslip_fit.moves.arm import check_conditions, parse_conditions
 
-    known = parse_conditions(conditions or (), result, "--condition")
-    for name in {"session_seconds", "step_period"} & known.keys():
-        message = "a plan says that itself: leave it out"
-        raise InputError(InputIssue(message, column="--condition", value=name))
+    each = {text: parse_conditions([text], result, "--condition") for text in conditions or ()}
+    known = {name: value for own in each.values() for name, value in own.items()}
+    if issues := [
+        InputIssue(PLAN_SAYS[name], column="--condition", value=text)
+        for text, own in each.items()
+        for name in PLAN_SAYS.keys() & own.keys()
+    ]:
+        raise InputError(issues)
     check_conditions(result, {**known, "session_seconds": math.nan}, "--condition")
     return known
 

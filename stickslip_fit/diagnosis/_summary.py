@@ -39,6 +39,8 @@ from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.units import PRISMATIC, Interval
 
 MIN_PROBABILITY, MAX_RANKED = 0.015, 10
+# Of an error: within which a rms of some hundred rows is known, and what of a gain nobody would notice.
+ERROR_SHARE, GAIN_SHARE = 0.05, 0.01
 MAX_PARAMETERS, MAX_OUTLIERS = 40, 20
 LN_10 = np.log(10.0)
 MAX_POWER = 6  # of ten, of a Bayes factor that is written out
@@ -236,8 +238,10 @@ def _gain_cells(gain: Gain, words: Words) -> tuple[str, ...]:
     errors = [words.info.factor * error for error in (gain.baseline, gain.extended, gain.noise_floor)]
     # As many decimals as the gain, which is the difference of the first two, and two digits of each.
     half = min([(cut.high - cut.low) / 2, *(error for error in errors if error > 0)])
+    half = max(half, ERROR_SHARE * errors[0])
     before, after, floor = (format_measured(Interval(one, one - half, one + half)) for one in errors)
-    return before, after, format_measured(cut), format_measured_range(cut), floor
+    least = GAIN_SHARE * errors[0]
+    return before, after, format_measured(cut, least=least), format_measured_range(cut, least), floor
 
 
 def _alternatives(diagnosis: Diagnosis) -> list[str]:

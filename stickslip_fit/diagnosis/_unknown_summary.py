@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from math import sqrt
+from math import ceil, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,12 +26,12 @@ from stickslip_fit._format import (
 from stickslip_fit._summary import Column, Table, numbers
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.causes.proposed import PAUSES
-from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding
+from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, closest_cause
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
 from stickslip_fit.logs.history import DEPARTURES
 from stickslip_fit.logs.log import has_replicates
-from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
+from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, is_coordinate
 from stickslip_fit.machine import Machine, load_machine, mean_load
 from stickslip_fit.units import Z_95, from_si
 
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from stickslip_fit.diagnosis import Diagnosis
 
 POSITION, LOAD = "position", "load"
-ANGLES = ("q1", "q2", "q3", "theta", "psi")
 MIN_EXPLAINED, MAX_EXPLAINING = 0.05, 5  # share of a structure; causes in the table
+MIN_CLOSE = 0.1  # share of a structure that a cause explains, from which it is called close
 MIN_BENT = 0.1  # share of a structure that a cause explains only bent, from which that is told
 OPPOSITE = ", with opposite signs in the two directions"
 CARRIER_PHRASES = {
@@ -234,17 +234,26 @@ def describe_stand_in(finding: Finding) -> str:
 
 
 def _name_closest(finding: Finding) -> str:
-    """The known cause that explains most of it, in brackets."""
+    """The known cause that explains most of it, in brackets, or that none explains much."""
     if not finding.explains:
         return ""
-    closest = max(finding.explains, key=lambda cause: finding.explains[cause])
+    closest = closest_cause(finding.explains, finding.explains_by_equation)
+    own = share_by_equation(finding, closest)
+    if own < MIN_CLOSE:
+        bends = max(finding.explains.values()) >= MIN_CLOSE
+        most = f"{max(ceil(round(100 * own, 6)), 1)} % of it{' by its equation' * bends}"
+        return f" (no known cause explains more than {most})"
     return f" (the closest known cause, {closest}, {describe_share(finding, closest)})"
 
 
+def share_by_equation(finding: Finding, cause: str) -> float:
+    """The share that a known cause explains of structure without a name, unbent where that can be told."""
+    return finding.explains_by_equation.get(cause, finding.explains.get(cause, finding.share))
+
+
 def describe_share(finding: Finding, cause: str) -> str:
-    """What a known cause explains of structure without a name; a bent form of it is no evidence for it."""
-    share = finding.explains.get(cause, finding.share)
-    own = finding.explains_by_equation.get(cause, share)
+    """The same as a clause; what a bent form explains is no evidence for the cause."""
+    share, own = finding.explains.get(cause, finding.share), share_by_equation(finding, cause)
     bent = f", {100 * share:.0f} % if its form may bend as the data ask" if share - own >= MIN_BENT else ""
     return f"explains {100 * (own if bent else share):.0f} % of it{bent}"
 
@@ -272,15 +281,17 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
     if getattr(finding.version, "sessions", ()):
         return "Another session will have another one, so that this one predicts within its session only."
     selection = diagnosis.selection
-    change, rows = term_change(selection, selection.behind(finding).version), selection.problem.rows
+    version, rows = selection.behind(finding).version, selection.problem.rows
+    # The change of the count is minus the sum of each parameter times its function.
+    change = version.of_sum(-term_change(selection, version))[0] - 1.0
     machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
     # Within one joint and direction, so that nothing else has to differ.
     groups = rows.groupby(["joint", "direction"], observed=True).indices.values()
     inside = max(groups, key=lambda places: float(np.ptp(change[places])))
     places = []
-    for extreme in (np.argmin, np.argmax):
+    for extreme in (np.argmax, np.argmin):
         place = int(inside[extreme(change[inside])])
-        row, size = rows.iloc[place], -float(np.expm1(change[place]))
+        row, size = rows.iloc[place], float(change[place])
         way = "" if _is_same_both_ways(finding) else f" {format_direction(str(row['direction']))}"
         where = join_words([_format_carrier(name, row, machine) for name in carriers])
         places.append(f"joint {row['joint']}{way} at {where} (steps {format_percent(size, signed=True)})")
@@ -298,8 +309,8 @@ def _is_same_both_ways(finding: Finding) -> bool:
 def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
     """A carrier's name and its value on one traverse."""
     label = name_carrier(name)
-    if name in ANGLES:
-        return format_coordinate(name, float(row[name]))
+    if is_coordinate(name):
+        return format_coordinate(name, float(row[name]), machine)
     if name == POSITION:
         joint = int(row["joint"])
         return f"q{joint} about {format_position(float(row['start'] + row['stop']) / 2, joint, machine)}"
@@ -325,7 +336,8 @@ def explains_tables(diagnosis: Diagnosis) -> list[Table]:
     unit, number = diagnosis.info.unit, diagnosis.info.format_number
     tables = []
     for finding in diagnosis.findings:
-        ranked = sorted(finding.explains.items(), key=lambda item: -item[1])
+        own = {**finding.explains, **finding.explains_by_equation}
+        ranked = sorted(finding.explains.items(), key=lambda item: (-own[item[0]], -item[1]))
         shares = [item for item in ranked if item[1] >= MIN_EXPLAINED][:MAX_EXPLAINING]
         size = finding.effect.estimate
         rows = tuple(

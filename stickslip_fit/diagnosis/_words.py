@@ -16,7 +16,7 @@ import pandas as pd
 
 from stickslip_fit._format import format_p_value, join_words
 from stickslip_fit._typing import Array
-from stickslip_fit.diagnosis._unknown_summary import describe_share
+from stickslip_fit.diagnosis._unknown_summary import describe_share, share_by_equation
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, DataInfo, Finding, Gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import compute_shape, term_change
@@ -133,7 +133,7 @@ class Words(ABC):
         if finding.carrier.endswith(TO_SOME_EXTENT):
             return f"{text}but by the evidence of one or two {self.info.row}s, so that no cause is named"
         text += f"and has the shape of no cause that was searched{self.describe_way(finding)}"
-        if not finding.closest or finding.share < MIN_SHARE:
+        if not finding.closest or share_by_equation(finding, finding.closest) < MIN_SHARE:
             return text
         return f"{text}; the closest, {finding.closest}, {describe_share(finding, finding.closest)}"
 

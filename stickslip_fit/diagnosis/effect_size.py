@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.special import betaincinv, softmax
+from scipy.special import betaincinv, ndtri, softmax
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import SizedParameter
@@ -40,6 +40,7 @@ from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.units import Z_95, Interval
 
 MIN_SQUARE = 1e-300
+NORMAL_SCORES = ndtri((np.arange(400) + 0.5) / 400)  # a standard normal distribution, by its quantiles
 CREDIBLE = 0.95
 
 
@@ -203,7 +204,10 @@ def _size_outliers(selection: Selection, problem: DiagnosisProblem, selected: Se
         float(betaincinv(len(rows), n - len(rows) + 1, 0.025)),
         float(betaincinv(len(rows) + 1, n - len(rows), 0.975)),
     )
-    low, middle, high = np.quantile(sizes, QUANTILES_95)
+    # Of what a departure may be: they differ among each other, and each is known within its error.
+    errors = np.sqrt(np.diag(covariance))
+    within = np.maximum(sizes[:, None] + errors[:, None] * NORMAL_SCORES, 0.0)
+    low, high = map(float, np.quantile(within, (QUANTILES_95[0], QUANTILES_95[-1])))
     unit = getattr(problem.parts[0].law, "response_unit", "%")  # a table's response has one of its own
     return Finding(
         selected.cause,
@@ -212,7 +216,10 @@ def _size_outliers(selection: Selection, problem: DiagnosisProblem, selected: Se
         selected.p_value,
         joints_of_laws(part.law for part in problem.parts if np.isin(part.rows, rows).any()),
         Interval(rms, max(rms - error, 0.0), rms + error),
-        (SizedParameter("share", "%", share), SizedParameter("size", unit, Interval(middle, low, high))),
+        (
+            SizedParameter("share", "%", share),
+            SizedParameter("size", unit, Interval(float(np.median(sizes)), low, high)),
+        ),
         traverses=problem.rows.iloc[rows].assign(departure=departure),
     )
 

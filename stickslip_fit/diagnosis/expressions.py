@@ -7,15 +7,16 @@ table's are built in `table_alternatives`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from itertools import combinations
+from math import floor, log10
 from typing import Any
 
 import numpy as np
 
-from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit._format import coordinate_unit, position_unit
+from stickslip_fit._typing import Array, BoolArray, IntArray, JointKinds
 from stickslip_fit.causes.proposed import (
-    ANGLES,
     BEFORE_DIRECTION,
     LOAD,
     POSITION,
@@ -27,8 +28,11 @@ from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.smooth_alternatives import MIN_SHARE, Carrier, find_carriers, traverse_average
 from stickslip_fit.logs.history import FURTHER_HISTORY
+from stickslip_fit.logs.schema import CONDITIONS, is_coordinate
+from stickslip_fit.units import from_si, to_si
 
 WITHOUT_EXPRESSION = ("before_joint", "session_order")  # a label, and another clock
+DIGITS = 3  # of numbers in formulas
 OF_ANGLES = ("sin(x)", "cos(x)", "sin(2 x)", "cos(2 x)", "sin(3 x)", "cos(3 x)")
 
 
@@ -79,17 +83,17 @@ class Dictionary:
         return np.tensordot(self.combine, each, axes=1)
 
 
-def build_log_dictionary(linearized: LinearizedFit) -> Dictionary | None:
+def build_log_dictionary(linearized: LinearizedFit, machine: JointKinds) -> Dictionary | None:
     """Products of one or two functions, of at most three symbols; None where nothing varies.
 
     A function of the position is tried on one joint at a time: a rotary and a prismatic joint have no unit
-    in common.
+    in common. Only an angle has harmonics.
     """
     single = [
         (factor, factor.values(carrier.values))
         for carrier in find_carriers(linearized)
         if carrier.name not in WITHOUT_EXPRESSION
-        for factor in _functions(carrier)
+        for factor in _functions(carrier, machine)
     ]
     products: list[tuple[CarrierFunction, ...]] = [(factor,) for factor, _ in single]
     columns = [values for _, values in single]
@@ -113,36 +117,68 @@ def build_log_dictionary(linearized: LinearizedFit) -> Dictionary | None:
         places += [(both, "same"), (both, "opposite")]
         combine += [own, own * signs]
     places += [((group,), "same") for group in groups]
-    together = np.array([len({one for one, _ in on or groups}) > 1 for on, _ in places])
-    of_position = np.array([any(factor.carrier == POSITION for factor in product) for product in products])
+    moved = [{one for one, _ in on or groups} for on, _ in places]
+    together = np.array([len(own) > 1 for own in moved])
+    slides = np.array([any(map(machine.is_prismatic, own)) for own in moved])
+    along = [[factor.expression for factor in product if factor.carrier == POSITION] for product in products]
+    of_position = np.array([len(own) > 0 for own in along])
+    of_turn = np.array([not {*OF_ANGLES}.isdisjoint(own) for own in along])
+    effects = np.stack([traverse_average(column) for column in columns], axis=1)
+    largest = np.maximum(np.abs(effects).max(axis=0), np.finfo(float).tiny)
 
     def make(place: int, best: int, coefficient: float) -> tuple[ProposedTerm, Array]:
         on, mode = places[place]
-        term = ProposedTerm(tuple(astuple(factor) for factor in products[best]), on, mode)
-        return term, np.array([-coefficient])  # a larger step makes fewer
+        own = position_unit(min(moved[place]), machine)
+        factors = [
+            replace(factor, shown=own) if factor.carrier == POSITION else factor for factor in products[best]
+        ]
+        size = float(largest[best])
+        term = ProposedTerm(tuple(map(astuple, factors)), on, mode, size)
+        return term, np.array([-coefficient / size])  # a larger step makes fewer
 
     return Dictionary(
         linearized,
-        np.stack([traverse_average(column) for column in columns], axis=1),
+        effects / largest,
         [np.flatnonzero((joint == number) & (forward == (way == "+"))) for number, way in groups],
         np.concatenate([combine, np.eye(len(groups))]),
-        together[:, None] & of_position,
+        (together[:, None] & of_position) | (slides[:, None] & of_turn),
         make,
         np.array([len(product) for product in products]),
     )
 
 
-def _functions(carrier: Carrier) -> Iterator[CarrierFunction]:
-    """Functions of one carrier; of an angle also its harmonics."""
-    largest = max(abs(carrier.low), abs(carrier.high))
-    if carrier.name in (LOAD, BEFORE_DIRECTION, "before_load"):
-        expressions, middle, unit = ["x", "x^2", "|x|"], 0.0, 1.0
-    elif carrier.name in (POSITION, *ANGLES):
-        expressions = ["x", "x^2", "|x|", *(OF_ANGLES if carrier.name != "q3" else ())]
-        middle, unit = 0.0, largest if carrier.name == "q3" else 1.0
-    elif carrier.name in ("session_seconds", "steps_before"):
-        expressions, middle, unit = ["x", "x^2", "log(1 + x)"], 0.0, float(np.median(carrier.values)) or 1.0
+def _functions(carrier: Carrier, machine: JointKinds) -> Iterator[CarrierFunction]:
+    """Functions of one carrier; of an angle also its harmonics.
+
+    What they are shifted and divided by has as many digits as a formula shows, so that it is what it says.
+    """
+    name, plain = carrier.name, ("x", "x^2", "|x|")
+    if name == POSITION or is_coordinate(name):
+        shown = "" if name == POSITION else coordinate_unit(name, machine)
+        for expression in (*plain, *(() if shown == "mm" else OF_ANGLES)):
+            yield CarrierFunction(expression, name, shown=shown)
+    elif name in (LOAD, BEFORE_DIRECTION, "before_load"):
+        yield from (CarrierFunction(expression, name) for expression in plain)
+    elif name in ("session_seconds", "steps_before"):
+        shown = "h" if name == "session_seconds" else ""
+        unit = _round(float(np.median(carrier.values)) or carrier.high, shown)
+        for expression in ("x", "x^2", "log(1 + x)"):
+            is_time = shown and expression != "log(1 + x)"
+            yield CarrierFunction(expression, name, 0.0, 1.0 if is_time else unit, shown)
     else:
-        expressions = ["x", "x^2", "|x|"]
-        middle, unit = float(np.nanmean(carrier.values)), (carrier.high - carrier.low) / 2
-    return (CarrierFunction(expression, carrier.name, middle, unit) for expression in expressions)
+        shown = CONDITIONS[name].unit if name in CONDITIONS else ""
+        apart = "K" if shown == "°C" else shown
+        unit = _round((carrier.high - carrier.low) / 2, apart)
+        middle = _round(float(np.nanmean(carrier.values)), shown, _from_si(unit, apart))
+        yield from (CarrierFunction(expression, name, middle, unit, shown) for expression in plain)
+
+
+def _round(value: float, shown: str, compared: float = 0.0) -> float:
+    """An SI value to three significant digits of itself, or of a size, in the unit in which it is shown."""
+    number = _from_si(value, shown)
+    rounded = round(number, DIGITS - 1 - floor(log10(abs(compared or number))))
+    return float(to_si(rounded, shown)) if shown else rounded
+
+
+def _from_si(value: float, shown: str) -> float:
+    return float(from_si(value, shown)) if shown else value

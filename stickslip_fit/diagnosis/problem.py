@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -356,7 +356,7 @@ def problem_from_log(
             if cause.name not in missing
         ),
         alternatives=build_unstructured_alternatives,
-        expressions=build_log_dictionary,
+        expressions=partial(build_log_dictionary, machine=log.machine),
         configuration=number_configurations(rows),
         noise_ratio=np.ones(len(rows)),
         spacing=spacing / steps if spacing.any() else None,

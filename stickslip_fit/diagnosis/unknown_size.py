@@ -31,7 +31,7 @@ from stickslip_fit.diagnosis.effect_interval import (
 )
 from stickslip_fit.diagnosis.evidence import STRENGTHS, batch_hypotheses, strength_evidence
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength, expect_noise
-from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, joints_of_laws
+from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, closest_cause, joints_of_laws
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.lack_of_fit import LackOfFit
 from stickslip_fit.diagnosis.lagged import find_lagged_column
@@ -106,7 +106,7 @@ def _compare_causes(misfit: Misfit, shape: Array) -> dict[str, Any]:
     by_equation = {
         cause: max(map(explained, own)) for cause in explains if (own := misfit.single_directions(cause))
     }
-    closest = max(known, key=lambda cause: known[cause]) if known else ""
+    closest = closest_cause(explains, by_equation)
     return {
         "closest": closest,
         "share": explains.get(closest, 0.0),

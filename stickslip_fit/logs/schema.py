@@ -210,6 +210,11 @@ def position_columns(rows: pd.DataFrame) -> list[str]:
     return [*joints, *ORIENTATION]
 
 
+def is_coordinate(name: str) -> bool:
+    """Whether a column has positions of a joint, or the base's orientation."""
+    return name in ORIENTATION or _POSITION.fullmatch(name) is not None
+
+
 _POSITION = re.compile(r"q[0-9]+")
 ORIENTATION = ("theta", "psi")
 NO_TIMES = "the log has no times"

@@ -241,10 +241,10 @@ def make_panels(rows: pd.DataFrame, sweep: Sweep, by: list[str], fit: Result) ->
     swept = rows.loc[_is_swept(rows, sweep, by), by].drop_duplicates().itertuples(index=False)
     values = sorted(swept, key=lambda row: list(map(abs, row)))
     chosen = np.unique(np.linspace(0, len(values) - 1, min(len(values), MAX_PANELS)).round().astype(int))
-    panels = [
-        make_panel("\n".join(map(format_coordinate, by, values[k])), groups[tuple(values[k])], sweep, fit)
-        for k in chosen
-    ]
+    panels = []
+    for k in chosen:
+        titles = [format_coordinate(*one, fit.machine) for one in zip(by, values[k], strict=True)]
+        panels.append(make_panel("\n".join(titles), groups[tuple(values[k])], sweep, fit))
     return panels, len(values) - len(panels)
 
 

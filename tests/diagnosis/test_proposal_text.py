@@ -11,7 +11,12 @@ from stickslip_fit.causes import SizedParameter
 from stickslip_fit.causes.proposed import SmoothTerm
 from stickslip_fit.diagnosis import Finding, Gain, diagnose
 from stickslip_fit.diagnosis._summary import write_headline
-from stickslip_fit.diagnosis._unknown_summary import describe_test, name_carriers
+from stickslip_fit.diagnosis._unknown_summary import (
+    describe_share,
+    describe_stand_in,
+    describe_test,
+    name_carriers,
+)
 from stickslip_fit.diagnosis.residuals import compare_residuals, finding_shape
 from stickslip_fit.machine import load_machine
 from stickslip_fit.plotting.diagnosis import plot_residuals
@@ -103,7 +108,7 @@ def test_the_traverses_that_test_it_are_those_where_its_effect_is_at_its_extreme
     sentence = describe_test(proposed.findings[0], proposed)
     told = re.findall(r"joint (\d)(?: [+−])? at psi = (−?\d+)° \(steps ([+−]?[\d.]+) %\)", sentence)
     assert len(told) == 2
-    steps = -100 * np.expm1(hidden.effect("unknown:angle"))
+    steps = 100 * np.expm1(-hidden.effect("unknown:angle"))
     psi, said = (np.array([each[k].replace("−", "-") for each in told], dtype=float) for k in (1, 2))
     true = np.array([steps[hidden.table["psi_deg"] == each].mean() for each in psi])
     assert abs(np.diff(true)) > 0.7 * np.ptp(steps)
@@ -113,20 +118,36 @@ def test_the_traverses_that_test_it_are_those_where_its_effect_is_at_its_extreme
 def test_the_closest_causes_say_what_their_equation_and_what_a_bent_form_would_take_away(proposed):
     explains = {"drift": 0.36, "wear": 0.05, "side-load": 0.75, "worn-spot": 0.004}
     by_equation, size = {"side-load": 0.21, "drift": 0.36}, Interval(0.01, 0.009, 0.011)
-    text = str(with_finding(proposed, explains=explains, explains_by_equation=by_equation, effect=size))
+    shown = with_finding(proposed, explains=explains, explains_by_equation=by_equation, effect=size)
+    text = str(shown)
     table = text[text.index("The closest causes") :].splitlines()
     rows = [re.split(r"\s{2,}", line.strip()) for line in table[3:6]]
     # 1 % with 75 % of its square explained leaves half of it.
     assert rows == [
-        ["side-load", "21", "75", "0.50"],
         ["drift", "36", "36", "0.80"],
+        ["side-load", "21", "75", "0.50"],
         ["wear", "–", "5", "0.97"],
     ]
-    # Almost any curve can be bent into another one: that is no evidence for the cause.
-    assert "side-load, explains 21 % of it, 75 % if its form may bend as the data ask)" in " ".join(
-        text.split()
-    )
     assert "worn-spot  " not in "\n".join(table[:8])
+    # Almost any curve can be bent into another one: that is no evidence for the cause.
+    assert "(the closest known cause, drift, explains 36 % of it)" in " ".join(text.split())
+    assert (describe_share(shown.findings[0], "side-load")) == (
+        "explains 21 % of it, 75 % if its form may bend as the data ask"
+    )
+
+
+def test_a_cause_that_explains_next_to_nothing_is_not_called_the_closest(proposed):
+    (finding,) = proposed.findings
+    for explains, by_equation, said in (
+        ({"drift": 0.012, "wear": 0.001}, {"drift": 0.012}, "more than 2 % of it)"),
+        (
+            {"drift": 0.03, "wear": 0.86},
+            {"drift": 0.03, "wear": 0.07},
+            "more than 7 % of it by its equation)",
+        ),
+    ):
+        told = replace(finding, explains=explains, explains_by_equation=by_equation)
+        assert describe_stand_in(told).endswith(f"(no known cause explains {said}")
 
 
 def test_causes_that_show_only_together_say_so(named):

@@ -55,6 +55,21 @@ def test_a_named_cause_comes_with_its_size_its_cure_and_the_repeatability(named)
     assert float(noise[1]) / 100 == pytest.approx(REPEATABILITY, rel=0.15)
 
 
+def test_a_gain_has_no_digits_that_nobody_can_know(named):
+    """Of the errors those of an rms of some hundred rows, of the gain those of its interval."""
+    for gain, cells in (
+        (
+            Gain(0.0091037, 0.0091037, 0.0026, -0.000018, 0.0, BY_SESSION),
+            "0.910 0.910 0.0000 −0.0018 to 0.0000",
+        ),
+        (Gain(0.0123, 0.0121, 0.0026, 0.00016, 0.00024, BY_SESSION), "1.230 1.210 0.020 0.016 to 0.024"),
+        (GAIN, "1.86 0.41 1.45 1.30 to 1.55"),
+    ):
+        (finding,) = named.findings
+        text = " ".join(str(replace(named, gain=gain, findings=(replace(finding, gain=gain),))).split())
+        assert f"held-out traverses {cells}" in text
+
+
 def test_what_was_gained_on_held_out_traverses_is_said_where_it_is_known(named):
     assert (
         "the extended law, which cuts the prediction error on held-out traverses from 1.9 % to 0.41 %; "

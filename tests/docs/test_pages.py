@@ -2,6 +2,7 @@
 
 import ast
 import doctest
+import inspect
 import json
 import re
 import shutil
@@ -9,12 +10,14 @@ import tomllib
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import pytest
 
+import stickslip_fit as ssf
 from tests.docs.commands import ROOT, lines, obey
 from tests.docs.fences import Fence, fences
 from tests.docs.files import make_files
@@ -22,6 +25,7 @@ from tests.docs.remembered import Remembered, remember
 
 Run = Callable[..., tuple[int, str, str]]
 LOOSELY = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+INLINE_CALL = re.compile(r"(?<!`)`(ssf\.[^`]+\))`(?!`)")
 NOT_OURS = ("generated", "_build")
 MAKES_LOG = re.compile(r"stickslip-fit simulate .* -o my-log\.csv")  # which replaces no log that is there
 PAGES = [
@@ -184,6 +188,21 @@ READERS = {
     "csv": _csv,
     "text": lambda *_: None,
 }
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_a_call_within_a_sentence_has_arguments_that_the_function_takes(page: Path) -> None:
+    """What is in no block is not run, so that its names are at least looked up."""
+    for code in INLINE_CALL.findall(page.read_text("utf-8")):
+        for call in (node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Call)):
+            name = ast.unparse(call.func)
+            if re.fullmatch(r"ssf(\.\w+)+", name):
+                function = attrgetter(name.removeprefix("ssf."))(ssf)
+                given = {one.arg: one.value for one in call.keywords if one.arg}
+                try:
+                    inspect.signature(function).bind_partial(*call.args, **given)
+                except TypeError as error:
+                    pytest.fail(f"{page}: {code}: {error}")
 
 
 def test_every_package_of_the_api_has_its_place_in_the_contents():

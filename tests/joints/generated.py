@@ -28,8 +28,14 @@ def machine_text(joints) -> str:
     )
 
 
-def write_log(path: Path, joints, *, timed=True, sessions=3, n=8, scatter=0.01, drift=0.0, seed=0) -> None:
-    """A log of partial traverses, none of which repeats another; `drift` per hour of a session."""
+def write_log(
+    path: Path, joints, *, timed=True, sessions=3, n=8, scatter=0.01, drift=0.0, seed=0, cross=None
+) -> None:
+    """A log of partial traverses, none of which repeats another; `drift` per hour of a session.
+
+    With `cross`, (joint, other joint, slope), the step of the first grows by that slope for each mm or degree
+    of the second, and joints that do not move stand anywhere.
+    """
     rng = np.random.default_rng(seed)
     kinds = dict.fromkeys(UNITS[kind] for kind, _ in joints)
     columns = ["session", *(["time"] if timed else []), "joint", "direction", "steps", "check_every"]
@@ -48,11 +54,15 @@ def write_log(path: Path, joints, *, timed=True, sessions=3, n=8, scatter=0.01, 
                     start, stop = sorted(map(float, ends), reverse=direction == "-")
                     hours = (moment - begin).total_seconds() / 3600
                     step = STEPS[kind][direction] * (1 + GROWTH * session) * (1 + drift * hours)
+                    row = {}
+                    for k, (other, e) in enumerate(joints, start=1):
+                        if k != number:
+                            at = sum(e) / 2 if cross is None else round(rng.uniform(*e), 2)
+                            row[f"q{k}_{UNITS[other]}"] = at
+                            step *= 1 + cross[2] * at if cross and cross[:2] == (number, k) else 1
                     steps = round(abs(stop - start) / step * np.exp(scatter * rng.standard_normal()))
-                    row = {"session": f"2026-03-0{2 + session}", "joint": number, "direction": direction}
+                    row |= {"session": f"2026-03-0{2 + session}", "joint": number, "direction": direction}
                     row |= {"steps": steps, "check_every": 1}
                     row |= {f"from_{UNITS[kind]}": repr(start), f"to_{UNITS[kind]}": repr(stop)}
-                    others = enumerate(joints, start=1)
-                    row |= {f"q{k}_{UNITS[other]}": sum(e) / 2 for k, (other, e) in others if k != number}
                     writer.writerow(row | ({"time": moment.isoformat()} if timed else {}))
                     moment += timedelta(minutes=3)
