@@ -222,9 +222,22 @@ def describe_unknown_gain(finding: Finding, diagnosis: Diagnosis) -> str:
     if getattr(finding.version, "carriers", ()) == (POSITION,) and getattr(finding.version, "sessions", ()):
         what = f"what makes it differ from session to session{_name_closest(finding)}"
     return (
-        f"{test + ' ' if test else ''}What to do: find out {what}, log that as a "
+        f"{test + ' ' if test else ''}{describe_lag(finding)}What to do: find out {what}, log that as a "
         "column of its own, and diagnose again. Meanwhile the extended law has it; "
         f"{describe_scatter(diagnosis)}."
+    )
+
+
+def describe_lag(finding: Finding) -> str:
+    """That a column explains with a lag what was found, as a sentence with a blank; else nothing."""
+    late = finding.lagged
+    if late is None:
+        return ""
+    before, after = 100 * late.without_lag, 100 * late.share
+    what = f"{name_carrier(late.column)} some {from_si(late.lag, 'min'):.0f} min late"
+    return (
+        f"Steps seem to follow {what}: with this lag it explains {after:.0f} % of all that was found, "
+        f"without {before:.0f} %. "
     )
 
 

@@ -16,7 +16,7 @@ import pandas as pd
 
 from stickslip_fit._format import format_p_value, join_words
 from stickslip_fit._typing import Array
-from stickslip_fit.diagnosis._unknown_summary import describe_share, share_by_equation
+from stickslip_fit.diagnosis._unknown_summary import describe_lag, describe_share, share_by_equation
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, DataInfo, Finding, Gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import compute_shape, term_change
@@ -113,7 +113,8 @@ class Words(ABC):
     def describe_side_effect(self, finding: Finding) -> str:
         """A finding beside the first one, as a sentence."""
         if finding.cause == UNKNOWN:
-            return f"Besides that: {lower_first(self.describe_shape(finding))}."
+            shape = f"Besides that: {lower_first(self.describe_shape(finding))}."
+            return f"{shape} {describe_lag(finding)}".rstrip()
         rivals = f", or {join_words(finding.equivalent, 'or')}" if finding.equivalent else ""
         effect = lower_first(self.describe_effect(finding))
         way = self.describe_way(finding)

@@ -14,7 +14,8 @@ import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
+from stickslip_fit.diagnosis.testability import is_log
+from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times
 
 LAGS = 60.0 * np.array([2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0])  # s
 MIN_SHARE, MIN_MORE = 0.6, 0.15  # of what is explained; by how much more than without a lag
@@ -40,8 +41,13 @@ class LaggedColumn:
 
 
 def find_lagged_column(linearized: LinearizedFit, shape: Array) -> LaggedColumn | None:
-    """The column that with a lag explains most of whitened structure, shape (n,); None if none does."""
+    """The column that with a lag explains most of whitened structure, shape (n,); None if none does.
+
+    Of logs with times; a table says nothing of the unit of its time.
+    """
     rows, found = linearized.rows, []
+    if not is_log(linearized) or not has_times(rows):
+        return None
     for name in (one for one in rows if one in CONDITIONS or str(one).startswith(COVARIATE_PREFIX)):
         values = rows[name].to_numpy(float)
         if not np.isfinite(values).all() or not np.ptp(values):
