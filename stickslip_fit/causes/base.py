@@ -65,6 +65,8 @@ class Cause(ABC):
         Whether it needs the gravity load or the published arm's dimensions.
     session : str
         The only session in which it acts; empty for all.
+    joint : int or None
+        The only joint on which it acts, of a cause with the field; 0 for all, None for a cause without.
     columns : tuple of str
         Quantities of a traverse that it needs besides positions and angles.
     parameters : tuple of CauseParameter
@@ -103,6 +105,7 @@ class Cause(ABC):
     kind: ClassVar[Literal["", "rotary", "prismatic"]] = ""
     needs_geometry: ClassVar[bool] = False
     session: str = ""
+    joint: int | None = None
     columns: ClassVar[tuple[str, ...]] = ()
     parameters: tuple[CauseParameter, ...]
     scale: tuple[float, ...]
@@ -162,7 +165,10 @@ class Cause(ABC):
         """Its effect in a log: `sentence`, or the phrase and sizes where it needs more than is known."""
         try:
             quantities = self.quantities(sizes_by_name(parameters))
-            return self.sentence.format_map(quantities) or plain_description(self.phrase, parameters)
+            sentence = self.sentence.format_map(quantities)
+            if self.joint:
+                sentence = sentence.replace("Steps ", f"The steps of joint {self.joint} ", 1)
+            return sentence or plain_description(self.phrase, parameters)
         except KeyError:
             return plain_description(self.phrase, parameters)
 
@@ -217,6 +223,8 @@ class Cause(ABC):
 
     def acts_on(self, law: StepLaw) -> bool:
         """Whether it acts on the joint of a law."""
+        if self.joint:
+            return law.joint == self.joint
         if self.kind:
             return law.prismatic == (self.kind == "prismatic")
         return self.joints == EVERY_JOINT or law.joint in self.joints

@@ -34,7 +34,15 @@ TIME_CONSTANTS = 60.0 * np.array([2.0, 4.0, 7.0, 12.0, 20.0, 35.0, 60.0])
 
 @dataclass(frozen=True)
 class ThermalWarmUp(FactorCause):
-    """gamma times 1 + A (1 - exp(-t / tau)), t from the session's first traverse."""
+    """gamma times 1 + A (1 - exp(-t / tau)), t from the session's first traverse.
+
+    Attributes
+    ----------
+    joint : int
+        As of a `Cause`.
+    """
+
+    joint: int = 0
 
     name = "thermal-warm-up"
     phrase = "the drive warms up"
@@ -69,7 +77,15 @@ SECONDS_PER_HOUR = 3600.0
 
 @dataclass(frozen=True)
 class Drift(FactorCause):
-    """gamma times 1 + k t, t from the session's first traverse."""
+    """gamma times 1 + k t, t from the session's first traverse.
+
+    Attributes
+    ----------
+    joint : int
+        As of a `Cause`.
+    """
+
+    joint: int = 0
 
     name = "drift"
     phrase = "steps drift through each session"
@@ -100,10 +116,13 @@ class SessionJump(StageCause):
         In which it happens; empty for any.
     form : {"step", "friction", "voltage", "ramp time", ""}
         What is multiplied under a physical law, see `causes.friction`; empty for any.
+    joint : int
+        As of a `Cause`.
     """
 
     session: str = ""
     form: str = STEP
+    joint: int = 0
 
     name = "session-jump"
     phrase = "something jumped within a session"
@@ -176,7 +195,15 @@ WEAR_SCALES = np.array([1e4, 1e5, 1e6])
 
 @dataclass(frozen=True)
 class Wear(StageCause):
-    """gamma times 1 + k log(1 + n / n0), n the joint's own logged steps so far, not reset by a session."""
+    """gamma times 1 + k log(1 + n / n0), n the joint's own logged steps so far, not reset by a session.
+
+    Attributes
+    ----------
+    joint : int
+        As of a `Cause`.
+    """
+
+    joint: int = 0
 
     name = "wear"
     phrase = "the joints wear"

@@ -26,12 +26,13 @@ from stickslip_fit.diagnosis.extension import (
     Extension,
     SelectedCause,
     absorb_unknown,
+    add_candidates,
     compute_evidence,
     extend_problem,
     make_selected,
     name_explained,
 )
-from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_finite_effects, make_hypothesis
 from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1
@@ -82,6 +83,14 @@ class PairSearch:
     behind: float = np.inf
 
 
+@dataclass(frozen=True, eq=False)
+class JointSearch:
+    """As `PairSearch`, of causes that act on one joint alone: the test with these among the hypotheses."""
+
+    found: Misfit | None
+    behind: float = np.inf
+
+
 def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit) -> PairSearch:
     """Two or three causes that together are likelier than unknown structure, if there are any.
 
@@ -121,6 +130,35 @@ def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], 
     if lacking[-1] < 0:
         return PairSearch(Combination(both[0], (both[1].cause, third)))
     return PairSearch(None, min(lacking))
+
+
+def find_in_one_joint(
+    problem: DiagnosisProblem, searched: LinearizedFit, misfit: Misfit, likeliest: str
+) -> JointSearch:
+    """A test in which a cause that acts on one joint alone is likelier than the `likeliest` one, if any is.
+
+    Causes have one size for all joints, which may differ: a knock against one of them, or its own warm-up.
+    Beside unknown structure all are tried, beside a cause that one.
+    """
+    joints = sorted({int(joint) for joint in searched.rows["joint"]})
+    allowed = set(misfit.log_evidence_by_cause) if likeliest == UNKNOWN else {likeliest}
+    tried = [one for one in problem.causes if one.name in allowed and getattr(one, "joint", None) == 0]
+    if len(joints) < 2 or problem.autocorrelation is not None or not tried:
+        return JointSearch(None)
+    versions = [replace(one, joint=joint) for one in tried for joint in joints]
+    test = add_candidates(misfit.hypotheses, searched, compute_finite_effects(searched, versions))
+    evidence = test.log_evidence_by_cause
+    best = max((one.name for one in tried), key=lambda name: evidence.get(name, -np.inf))
+    version = test.best_hypothesis(best).version
+    behind = (
+        misfit.log_evidence_by_cause.get(likeliest, -np.inf) + PAIR_LOG_PENALTY - evidence.get(best, -np.inf)
+    )
+    if behind > 0 or not getattr(version, "joint", 0):
+        return JointSearch(None, max(behind, 0.0))
+    found = replace(
+        misfit, hypotheses=test.hypotheses, log_evidence=test.log_evidence, log_evidence_by_cause=evidence
+    )
+    return JointSearch(found)
 
 
 def find_beside_unknown(
@@ -388,6 +426,8 @@ def revise_causes(
     """Each cause, and structure without a name, selected again with all the others in the law."""
     revised = list(causes)
     for place in range(len(causes)):
+        if getattr(causes[place].version, "joint", 0):  # which is no version that others are compared with
+            continue
         others = [one for k, one in enumerate(revised) if k != place]
         extension = extend_problem(problem, others)
         trial, linearized = extension[0], absorb_unknown(extension, others)

@@ -26,6 +26,7 @@ from stickslip_fit.diagnosis.combinations import (
     PAIR_MIN_LOG_BAYES_FACTOR,
     find_beside_unknown,
     find_exchange,
+    find_in_one_joint,
     find_needless,
     first_of_pair,
     name_combinations,
@@ -252,7 +253,10 @@ class _ForwardSelection:
         if chosen[-1].version is None:
             self.selected = chosen
             return False
-        extension = refits.extensions.get(chosen[-1].cause) or extend_problem(problem, chosen)
+        extension = (
+            None if getattr(chosen[-1].version, "joint", 0) else refits.extensions.get(chosen[-1].cause)
+        )
+        extension = extension or extend_problem(problem, chosen)
         if self.selected and chosen[-1].cause != UNKNOWN:
             revised = revise_causes(extension[0], chosen, self.rng)
             # In another version a cause of the same name has other parameters.
@@ -279,9 +283,13 @@ class _ForwardSelection:
         """The selected causes and the next one; unknown structure with a law for it where there is one."""
         problem, last, ahead_of_pairs = self.extension[0], self.last, np.inf
         following = make_selected(last, form_cause_set(last), refits.starts)
+        single = find_in_one_joint(problem, searched, last, following.cause)
+        if single.found is not None:
+            self.last = last = single.found
+            following = make_selected(last, form_cause_set(last))
         if following.cause == UNKNOWN:
             pairs = first_of_pair(problem, self.selected, last)
-            ahead_of_pairs = pairs.behind
+            ahead_of_pairs = min(single.behind, pairs.behind)
             if pairs.found is not None:
                 following = pairs.found.first
                 self.combinations.append((following.cause, *pairs.found.others))
