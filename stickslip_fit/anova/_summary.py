@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import sqrt
+from math import expm1, sqrt
 from typing import Any
 
 import pandas as pd
@@ -39,7 +39,7 @@ from stickslip_fit.anova.contrasts import SIGNIFICANCE_LEVEL
 from stickslip_fit.anova.designs import MAX_SESSIONS, FactorTestDesign, NotTestable
 from stickslip_fit.anova.factor_test import AssumptionCheck, FactorTest
 from stickslip_fit.anova.formula import FormulaTable
-from stickslip_fit.anova.overall import OVERALL
+from stickslip_fit.anova.overall import OVERALL, OverallAnalysis
 from stickslip_fit.anova.position import DAY, DIRECTION
 from stickslip_fit.anova.variance_components import VarianceComponent, VarianceComponents
 from stickslip_fit.units import from_si
@@ -84,6 +84,30 @@ def recommend(components: VarianceComponents, anova: Anova) -> list[Advice]:
         _recommend_recalibration(components, DAY in shown),
         *_recommend_directions(components, DIRECTION in shown),
     ]
+
+
+def _advice_by_joint(anova: Anova) -> dict[int, list[Advice]]:
+    """By the variance components of one configuration; without these by all traverses together."""
+    advice = {each.joint: recommend_overall(each) for each in anova.overall}
+    return advice | {each.joint: recommend(each, anova) for each in anova.components}
+
+
+def recommend_overall(analysis: OverallAnalysis) -> list[Advice]:
+    """As `recommend`, with the cost in the sessions of the log."""
+    actions = {
+        DAY: (RECALIBRATE, "the calibration of another session is off by up to {} a step", 1.0),
+        DIRECTION: (KEEP_APART, "one set for both is off by {} a step", 0.5),
+    }
+    differing = {test.term for test in analysis.tests if test.is_significant}
+    advice = []
+    for test in analysis.tests:
+        if test.term in actions and test.effect is not None:
+            action, price, share = actions[test.term]
+            needed = not differing.isdisjoint((test.term, BY_DAY_AND_DIRECTION))
+            too_small = not needed and share * test.effect.high > COST_LIMIT * analysis.deviation
+            cost = format_percent(share * expm1(test.effect.difference))
+            advice.append(Advice(action, price.format(cost), None if too_small else needed))
+    return advice
 
 
 def _recommend_recalibration(components: VarianceComponents, changes: bool) -> Advice:
@@ -275,7 +299,7 @@ CAUTIONS = "What to mind, and what cannot be answered"
 def summarize_anova(anova: Anova) -> Summary:
     """All factors in one table, a section for each joint, failed assumptions, tests that cannot be made."""
     sentences = sentences_by_joint(anova)
-    advice = {each.joint: recommend(each, anova) for each in anova.components}
+    advice = _advice_by_joint(anova)
     headline = [write_overview(joint, anova, advice.get(joint, [])) for joint in sentences]
     overview = overview_table(list(sentences), anova)
     sections = [Section(tables=(overview,))] if overview.rows else []
@@ -301,12 +325,26 @@ def sentences_by_joint(anova: Anova) -> dict[int, list[str]]:
     """Conclusions and recommendations for each joint."""
     sentences = {each.joint: conclude_overall(each) for each in anova.overall}
     for joint in dict.fromkeys(each.design.joint for each in anova.factor_tests):
-        sentences.setdefault(joint, []).extend(conclude(joint, anova.factor_tests))
-    for each in anova.components:
-        sentences.setdefault(each.joint, []).extend(advice.with_price() for advice in recommend(each, anova))
+        sentences.setdefault(joint, []).extend(conclude(joint, _select_told(joint, anova)))
+    for joint, advice in _advice_by_joint(anova).items():
+        sentences.setdefault(joint, []).extend(each.with_price() for each in advice)
     for analysis in anova.positions:
         sentences.setdefault(analysis.joint, []).extend(conclude_positions(analysis))
     return dict(sorted(sentences.items()))
+
+
+def _select_told(joint: int, anova: Anova) -> list[FactorTest]:
+    """All but those at one configuration that do not show what all traverses together do."""
+    shown = {
+        test.term
+        for each in anova.overall
+        if each.joint == joint
+        for test in each.tests
+        if test.is_significant
+    }
+    tests = [test for test in anova.factor_tests if test.design.joint == joint]
+    shown -= {test.design.analysis for test in tests if test.is_significant}
+    return [test for test in tests if test.design.analysis not in shown]
 
 
 def tests_tables(anova: Anova) -> list[Table]:

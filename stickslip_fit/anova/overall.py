@@ -40,7 +40,10 @@ MIN_RESIDUAL_DF, MIN_RESIDUAL_SHARE = 6, 0.25  # of the traverses, that a model 
 MAX_COLUMNS = 400  # of a model: more take minutes
 NO_SCATTER = 1e-12  # relative: the rounding of doubles
 RESIDUAL = "residual"
-NOT_NORMAL = ("normal scatter", "doubtful")
+DRIFT = (
+    "traverses drift within their session: sessions and configurations may differ by the hour, and not the "
+    "directions, which took turns"
+)
 HEAVY_TAILS = "the traverses do not scatter normally: take an adjusted p just below 5 % for none"
 
 
@@ -60,6 +63,8 @@ class OverallAnalysis:
         Observations.
     residuals : array, shape (n,)
         Of the logarithm.
+    deviation : float
+        Their standard deviation.
     machine : Machine
     """
 
@@ -69,6 +74,7 @@ class OverallAnalysis:
     terms: tuple[str, ...]
     rows: pd.DataFrame = field(repr=False)
     residuals: Array = field(repr=False)
+    deviation: float
     machine: Machine = field(default_factory=load_machine)
 
     @cached_property
@@ -76,8 +82,12 @@ class OverallAnalysis:
         """Whether the residuals are such as an F test assumes, and directions took turns."""
         codes = [_number_levels(self.rows[name]) for name in ("direction", "session")]
         checks = check_assumptions(self.residuals, self.rows["session_seconds"].to_numpy(float), *codes)
+        in_turn = checks[-1].outcome == "holds"
+        messages = {"normal scatter": HEAVY_TAILS} | ({"drift within a session": DRIFT} if in_turn else {})
         return tuple(
-            replace(check, message=HEAVY_TAILS) if (check.name, check.outcome) == NOT_NORMAL else check
+            replace(check, message=messages.get(check.name, check.message))
+            if check.outcome == "doubtful"
+            else check
             for check in checks
         )
 
@@ -111,7 +121,8 @@ def analyze_overall(rows: pd.DataFrame, machine: Machine) -> tuple[OverallAnalys
     if not tests:
         return None, refused
     terms = tuple(map(name_term, model.columns))
-    return OverallAnalysis(joint, tuple(tests), model.degree, terms, rows, residuals, machine), refused
+    scatter = (residuals, float(np.sqrt(error.mean_square)))
+    return OverallAnalysis(joint, tuple(tests), model.degree, terms, rows, *scatter, machine), refused
 
 
 def _refuse(joint: int, analysis: str, reason: str) -> NotTestable:

@@ -168,6 +168,8 @@ def test_a_log_whose_stretches_are_all_different_is_answered(machine, tmp_path):
     assert text.startswith("Joint 1: the step size changes from session to session by up to")
     (test,) = [test for test in found.overall[0].tests if test.term == "direction"]
     assert test.effect.difference == pytest.approx(0.08, abs=0.015)
+    advice = "Recalibrate each session and keep separate parameters for each direction."
+    assert text.split(" Which factors matter")[0].endswith(advice)
     conclusion = factors_section(found).conclusion
     assert "joint 1: day, direction and day x direction." in conclusion
 
