@@ -35,7 +35,11 @@ ALL_PAIRS = tuple(combinations((CONFIGURATION, DAY, DIRECTION), 2))
 TWO_WAY = (DAY, DIRECTION)
 # Degree of the polynomials, 0 for configurations as levels, and interactions. The first is used that the
 # traverses suffice for. A polynomial of degree 5 follows a whole period of a sine, of degree 3 a bend.
-MODELS = ((0, ALL_PAIRS), (5, ALL_PAIRS), (3, ALL_PAIRS), (0, (TWO_WAY,)), (5, (TWO_WAY,)), (3, (TWO_WAY,)))
+MODELS = tuple(
+    (degree, pairs)
+    for pairs, degrees in ((ALL_PAIRS, (0, 5, 3)), ((TWO_WAY,), (0, 5, 3)), ((), (0, 3)))
+    for degree in degrees
+)
 MIN_RESIDUAL_DF, MIN_RESIDUAL_SHARE = 6, 0.25  # of the traverses, that a model leaves to compare with
 MAX_COLUMNS = 400  # of a model: more take minutes
 NO_SCATTER = 1e-12  # relative: the rounding of doubles
@@ -111,8 +115,7 @@ def analyze_overall(rows: pd.DataFrame, machine: Machine) -> tuple[OverallAnalys
     if np.sqrt(error.mean_square) <= NO_SCATTER:
         return None, [_refuse(joint, OVERALL, "no scatter at all, so that nothing can be compared with it")]
     tests, refused = [], []
-    for term in [term for term in ASKED if term in model.columns]:
-        bases = model.bases(term)
+    for term, bases in model.bases.items():
         if not bases[1].shape[1]:
             refused.append(_refuse(joint, name_term(term), "it changes together with other factors"))
             continue
@@ -153,8 +156,12 @@ class OverallModel:
         columns = np.hstack([np.ones((n, 1)), *terms.values()])
         return orthonormal_basis(columns, np.zeros((n, 0)))
 
-    def bases(self, term: Term) -> tuple[Array, Array]:
-        """Bases of all terms that do not contain `term`, and of `term` beside them (type II)."""
+    @cached_property
+    def bases(self) -> dict[Term, tuple[Array, Array]]:
+        """Of each term asked: bases of all that do not contain it, and of it beside them (type II)."""
+        return {term: self._bases(term) for term in ASKED if term in self.columns}
+
+    def _bases(self, term: Term) -> tuple[Array, Array]:
         others = {name: part for name, part in self.columns.items() if not set(term) <= set(name)}
         basis = self.span(others)
         return basis, orthonormal_basis(self.columns[term], basis)
@@ -163,7 +170,7 @@ class OverallModel:
     def is_sufficient(self) -> bool:
         """Whether sessions and directions can be told apart, and enough is left to compare with."""
         return self.residual_df >= max(MIN_RESIDUAL_DF, MIN_RESIDUAL_SHARE * len(self.whole)) and all(
-            self.bases(term)[1].shape[1] for term in self.levels
+            self.bases[term][1].shape[1] for term in self.levels
         )
 
 
@@ -178,6 +185,7 @@ def _choose_model(rows: pd.DataFrame) -> OverallModel | str:
     factors: dict[Term, Array] = {term: indicator_columns(codes) for term, (_, codes) in levels.items()}
     if not factors and rows["configuration"].nunique() < 2:
         return "one session, one direction and one configuration: nothing to compare"
+    fits = False
     for degree, asked in MODELS:
         place = _place_columns(rows, degree)
         single = {(CONFIGURATION,): place, **factors} if place.shape[1] else factors
@@ -185,10 +193,13 @@ def _choose_model(rows: pd.DataFrame) -> OverallModel | str:
         width = {term: part.shape[1] for term, part in single.items()}
         if sum(width.values()) + sum(width[pair[:1]] * width[pair[1:]] for pair in pairs) > MAX_COLUMNS:
             continue
+        fits = True
         products: dict[Term, Array] = {pair: _multiply(single[pair[:1]], single[pair[1:]]) for pair in pairs}
         model = OverallModel({**single, **products}, levels, degree)
         if model.is_sufficient:
             return model
+    if not fits:
+        return "too many sessions at once; use --since"
     return (
         "too few traverses, or directions and sessions that each have configurations of their own: repeat "
         "some configurations in both directions and in each session"
