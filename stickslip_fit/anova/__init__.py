@@ -1,4 +1,4 @@
-"""Which factors matter: day, direction, normal force, position; and any others, by formula."""
+"""Which factors matter: day, direction, configuration, normal force, position; and any others, by formula."""
 
 from stickslip_fit.anova import _summary as _summary  # registers how results are summarized
 from stickslip_fit.anova.analysis import Anova, analyze_variance, save_records
@@ -11,7 +11,9 @@ from stickslip_fit.anova.designs import (
 )
 from stickslip_fit.anova.factor_test import FactorTest
 from stickslip_fit.anova.formula import FormulaTable, analyze_formula
-from stickslip_fit.anova.position import PositionAnalysis, PositionTest
+from stickslip_fit.anova.overall import OverallAnalysis
+from stickslip_fit.anova.position import PositionAnalysis
+from stickslip_fit.anova.term_test import TermTest
 from stickslip_fit.anova.variance_components import VarianceComponent, VarianceComponents
 
 __all__ = [
@@ -20,8 +22,9 @@ __all__ = [
     "FactorTestDesign",
     "FormulaTable",
     "NotTestable",
+    "OverallAnalysis",
     "PositionAnalysis",
-    "PositionTest",
+    "TermTest",
     "VarianceComponent",
     "VarianceComponents",
     "analyze_formula",

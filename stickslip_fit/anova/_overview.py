@@ -17,9 +17,11 @@ from stickslip_fit._format import (
     typeset_text,
 )
 from stickslip_fit._summary import Column, Table, numbers, words
+from stickslip_fit.anova._overall_summary import BY_DAY_AND_DIRECTION, name_levels
 from stickslip_fit.anova.analysis import Anova
 from stickslip_fit.anova.factor_test import FactorTest
-from stickslip_fit.anova.position import DAY, DIRECTION, POSITION, PositionTest, name_term
+from stickslip_fit.anova.position import CONFIGURATION, DAY, DIRECTION, POSITION
+from stickslip_fit.anova.term_test import TermTest, name_term
 
 EFFECTS = {
     "day": "from session to session",
@@ -69,9 +71,10 @@ def _advise(advice: Sequence[Advice]) -> list[str]:
 
 def write_overview(joint: int, anova: Anova, advice: Sequence[Advice]) -> str:
     """Which factors change a joint's step size, by how much; then what to do about it."""
-    changes = []
+    changes = _overall_changes(joint, anova)
+    told = {test.term for test in _overall_of(joint, anova) if test.is_significant}
     for analysis, where in EFFECTS.items():
-        tests = _tests_of(joint, anova, analysis)
+        tests = _tests_of(joint, anova, analysis) if analysis not in told else []
         over = [test for test in tests if test.design.session is None and test.is_significant]
         differing = over or [test for test in tests if test.is_significant]
         if differing:
@@ -84,6 +87,22 @@ def write_overview(joint: int, anova: Anova, advice: Sequence[Advice]) -> str:
     changes += _differing_profiles(joint, anova)
     found = f"the step size changes {join_words(changes)}" if changes else "no factor shows an effect"
     return " ".join([f"Joint {joint}: {found}.", *_advise(advice)])
+
+
+def _overall_changes(joint: int, anova: Anova) -> list[str]:
+    """Of all traverses together."""
+    tests = {test.term: test for test in _overall_of(joint, anova) if test.is_significant}
+    changes = [
+        f"{where} by {'up to ' if term == DAY else ''}{format_percent(expm1(test.effect.difference))}"
+        for term, where in EFFECTS.items()
+        if (test := tests.get(term)) is not None and test.effect is not None
+    ]
+    if BY_DAY_AND_DIRECTION in tests and DIRECTION not in tests:
+        size = format_percent(tests[BY_DAY_AND_DIRECTION].size)
+        changes.append(f"between the directions in a way that differs from session to session ({size} rms)")
+    if CONFIGURATION in tests:
+        changes.append(f"between configurations ({format_percent(tests[CONFIGURATION].size)} rms)")
+    return changes
 
 
 def _differing_profiles(joint: int, anova: Anova) -> list[str]:
@@ -99,7 +118,12 @@ def _differing_profiles(joint: int, anova: Anova) -> list[str]:
 
 def overview_table(joints: Sequence[int], anova: Anova) -> Table:
     """All factors of all joints, over all sessions; of one session where only that was asked for."""
-    rows = [row for joint in joints for row in (*_factor_rows(joint, anova), *_profile_rows(joint, anova))]
+    rows = [
+        row
+        for joint in joints
+        for make_rows in (_overall_rows, _factor_rows, _profile_rows)
+        for row in make_rows(joint, anova)
+    ]
     rows.sort(key=lambda row: row[-1] != SHOWN)
     columns = (
         *words("joint", "factor", "largest minus smallest"),
@@ -109,8 +133,8 @@ def overview_table(joints: Sequence[int], anova: Anova) -> Table:
         *words("effect"),
     )
     note = (
-        "Adjusted for everything asked of this log (Holm). Detectable: the minimum detectable difference, "
-        "which 80 of 100 such logs would show."
+        "Adjusted for everything asked of this log (Holm). Detectable: the difference, or rms, that is "
+        "declared, adjusted, in 80 of 100 such logs."
     )
     with_effect = slice(0, max(1, sum(row[-1] == SHOWN for row in rows)))
     return Table("What changes the step size", columns, tuple(rows), stubs=2, note=note, short=with_effect)
@@ -118,7 +142,8 @@ def overview_table(joints: Sequence[int], anova: Anova) -> Table:
 
 def _factor_rows(joint: int, anova: Anova) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
-    for analysis in EFFECTS:
+    told = {test.term for test in _overall_of(joint, anova)}
+    for analysis in [name for name in EFFECTS if name not in told]:
         tests = _tests_of(joint, anova, analysis)
         for test in [test for test in tests if test.design.session is None] or tests:
             effect, mean = test.effect, float(test.design.observations["step_size"].mean())
@@ -140,6 +165,29 @@ def _factor_rows(joint: int, anova: Anova) -> list[tuple[str, ...]]:
     return rows
 
 
+def _overall_rows(joint: int, anova: Anova) -> list[tuple[str, ...]]:
+    """All traverses together: the difference between levels, or the rms."""
+    rows: list[tuple[str, ...]] = []
+    for test in _overall_of(joint, anova):
+        difference, detectable = format_number(test.size, "%", 2), format_number(test.detectable, "%", 2)
+        if (effect := test.effect) is not None:
+            size, low, high = (expm1(value) for value in (effect.difference, effect.low, effect.high))
+            difference = f"{format_number(size, '%', 1)} ({format_range(low, high, '%', 1)})"
+            detectable = format_number(expm1(test.detectable_difference), "%", 1)
+        rows.append(
+            (
+                str(joint),
+                test.term,
+                "rms" if effect is None else typeset_text(name_levels(test).replace(" against ", " minus ")),
+                difference,
+                detectable,
+                format_p_value(test.p_holm),
+                SHOWN if test.is_significant else "none shown",
+            )
+        )
+    return rows
+
+
 def _profile_rows(joint: int, anova: Anova) -> list[tuple[str, ...]]:
     """Terms with position: sizes are rms over the stretches."""
     return [
@@ -153,7 +201,6 @@ def _profile_rows(joint: int, anova: Anova) -> list[tuple[str, ...]]:
             SHOWN if test.is_significant else "none shown",
         )
         for test in _profile_of(joint, anova)
-        if test.term not in (DAY, DIRECTION)
     ]
 
 
@@ -168,5 +215,9 @@ def _tests_of(joint: int, anova: Anova, analysis: str) -> list[FactorTest]:
     return [test for test, design in designs if (design.joint, design.analysis) == (joint, analysis)]
 
 
-def _profile_of(joint: int, anova: Anova) -> list[PositionTest]:
+def _overall_of(joint: int, anova: Anova) -> list[TermTest]:
+    return [test for each in anova.overall if each.joint == joint for test in each.tests]
+
+
+def _profile_of(joint: int, anova: Anova) -> list[TermTest]:
     return [test for each in anova.positions if each.joint == joint for test in each.tests]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import sqrt
+from math import expm1, sqrt
 from typing import Any
 
 import pandas as pd
@@ -24,6 +24,7 @@ from stickslip_fit._format import (
     typeset_text,
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
+from stickslip_fit.anova._overall_summary import BY_DAY_AND_DIRECTION, conclude_overall, overall_table
 from stickslip_fit.anova._overview import (
     KEEP_APART,
     RECALIBRATE,
@@ -36,8 +37,10 @@ from stickslip_fit.anova._position_summary import conclude_positions, positions_
 from stickslip_fit.anova.analysis import Anova
 from stickslip_fit.anova.contrasts import SIGNIFICANCE_LEVEL
 from stickslip_fit.anova.designs import MAX_SESSIONS, FactorTestDesign, NotTestable
-from stickslip_fit.anova.factor_test import FactorTest
+from stickslip_fit.anova.factor_test import AssumptionCheck, FactorTest
 from stickslip_fit.anova.formula import FormulaTable
+from stickslip_fit.anova.overall import OVERALL, OverallAnalysis
+from stickslip_fit.anova.position import DAY, DIRECTION
 from stickslip_fit.anova.variance_components import VarianceComponent, VarianceComponents
 from stickslip_fit.units import from_si
 
@@ -60,14 +63,54 @@ def conclude(joint: int, factor_tests: Sequence[FactorTest]) -> list[str]:
     ]
 
 
-def recommend(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> list[Advice]:
+def recommend(components: VarianceComponents, anova: Anova) -> list[Advice]:
     """Whether to recalibrate each session and to keep parameters for each direction, with the cost."""
-    subset = [each for each in factor_tests if each.design.joint == components.joint]
-    return [_recommend_recalibration(components, subset), *_recommend_directions(components, subset)]
+    joint = components.joint
+    shown = {
+        test.design.analysis
+        for test in anova.factor_tests
+        if test.design.joint == joint and test.is_significant
+    }
+    shown |= {
+        test.term
+        for each in anova.overall
+        if each.joint == joint
+        for test in each.tests
+        if test.is_significant
+    }
+    if BY_DAY_AND_DIRECTION in shown:
+        shown |= {DAY, DIRECTION}
+    return [
+        _recommend_recalibration(components, DAY in shown),
+        *_recommend_directions(components, DIRECTION in shown),
+    ]
 
 
-def _recommend_recalibration(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> Advice:
-    changes = any(test.is_significant for test in factor_tests if test.design.analysis == "day")
+def _advice_by_joint(anova: Anova) -> dict[int, list[Advice]]:
+    """By the variance components of one configuration; without these by all traverses together."""
+    advice = {each.joint: recommend_overall(each) for each in anova.overall}
+    return advice | {each.joint: recommend(each, anova) for each in anova.components}
+
+
+def recommend_overall(analysis: OverallAnalysis) -> list[Advice]:
+    """As `recommend`, with the cost in the sessions of the log."""
+    actions = {
+        DAY: (RECALIBRATE, "the calibration of another session is off by up to {} a step", 1.0),
+        DIRECTION: (KEEP_APART, "one set for both is off by {} a step", 0.5),
+    }
+    differing = {test.term for test in analysis.tests if test.is_significant}
+    advice = []
+    for test in analysis.tests:
+        if test.term in actions and test.effect is not None:
+            action, price, share = actions[test.term]
+            needed = not differing.isdisjoint((test.term, BY_DAY_AND_DIRECTION))
+            too_small = not needed and share * test.effect.high > COST_LIMIT * analysis.deviation
+            cost = format_percent(share * expm1(test.effect.difference))
+            advice.append(Advice(action, price.format(cost), None if too_small else needed))
+    return advice
+
+
+def _recommend_recalibration(components: VarianceComponents, changes: bool) -> Advice:
     total, replicate, unit = components.total, components.replicate.deviation, components.unit
     cost, low, high = (sqrt(2.0) * value for value in (total.deviation, total.low, total.high))
     price = (
@@ -79,10 +122,9 @@ def _recommend_recalibration(components: VarianceComponents, factor_tests: Seque
     return Advice(RECALIBRATE, price, None if too_small else changes)
 
 
-def _recommend_directions(components: VarianceComponents, factor_tests: Sequence[FactorTest]) -> list[Advice]:
+def _recommend_directions(components: VarianceComponents, differs: bool) -> list[Advice]:
     if components.direction is None:
         return []
-    differs = any(test.is_significant for test in factor_tests if test.design.analysis == "direction")
     cost, limit = abs(components.direction) / 2, COST_LIMIT * components.replicate.deviation
     share = format_percent(cost / components.mean)
     price = f"one set for both is off by {format_value(cost, components.unit)} a step ({share})"
@@ -101,13 +143,10 @@ def _conclude_day(factor_tests: Sequence[FactorTest]) -> str:
             f"{join_words(list(map(_effect_text, changed)))} ({_adjusted_p_text(changed)})"
         )
     if same:
-        directions = join_words([format_direction(test.design.direction) for test in same])
-        detectable = [f"{_detectable_text(test)} {_direction_text(test)}" for test in same]
         sentences.append(
-            f"no change from session to session shows in direction {directions} ({_adjusted_p_text(same)}); "
-            f"one of {join_words(detectable)} would most likely have shown"
+            f"no change from session to session shows {join_words(list(map(_not_shown_text, same)))}"
         )
-    return "; ".join(sentences) + "."
+    return f"at one configuration, {'; '.join(sentences)}."
 
 
 def _conclude_direction(factor_tests: Sequence[FactorTest]) -> str:
@@ -116,8 +155,8 @@ def _conclude_direction(factor_tests: Sequence[FactorTest]) -> str:
     differing = [test for test in within if test.is_significant]
     if over and over[0].is_significant:
         return (
-            f"the two directions differ by {_difference_text(over[0])}, taken over all sessions "
-            f"({_adjusted_p_text(over)})."
+            f"at one configuration, the two directions differ by {_difference_text(over[0])}, taken over all "
+            f"sessions ({_adjusted_p_text(over)})."
         )
     if differing:
         sessions = f"{len(differing)} of {len(within)} sessions" if len(within) > 1 else "the session"
@@ -127,22 +166,23 @@ def _conclude_direction(factor_tests: Sequence[FactorTest]) -> str:
             format_value(sizes[0], unit) if len(sizes) == 1 else format_step_range(sizes[0], sizes[-1], unit)
         )
         unsure = "; from so few, or so different, sessions it cannot be said of others" if over else ""
-        return f"the two directions differ in {sessions}, by {size} ({_adjusted_p_text(differing)}){unsure}."
-    return (
-        f"no difference between the directions shows ({_adjusted_p_text(factor_tests)}); one of "
-        f"{_detectable_text(min(factor_tests, key=lambda test: test.detectable))} would most likely have "
-        "shown."
-    )
+        p_value = _adjusted_p_text(differing)
+        return (
+            f"at one configuration, the two directions differ in {sessions}, by {size} ({p_value}){unsure}."
+        )
+    shown = over or [max(within, key=lambda test: test.effect.difference)]
+    where = f"session {shown[0].design.session}" if len(within) > 1 and not over else ""
+    told = _not_shown_text(shown[0], where)
+    return f"at one configuration, no difference between the directions shows {told}."
 
 
 def _conclude_normal_force(factor_tests: Sequence[FactorTest]) -> str:
     over = [test for test in factor_tests if test.design.session is None] or list(factor_tests)
     differing = [test for test in over if test.is_significant]
     if not differing:
-        detectable = _detectable_text(max(over, key=lambda test: test.detectable))
         return (
             "turning the base about the joint's axis changes nothing that shows "
-            f"({_adjusted_p_text(over)}); a change of {detectable} would most likely have shown."
+            f"{join_words(list(map(_not_shown_text, over)))}."
         )
     sizes = [f"{_effect_text(test)} (between {' and '.join(test.extreme_levels)})" for test in differing]
     size = f"{join_words(sizes)} ({_adjusted_p_text(differing)})"
@@ -176,8 +216,15 @@ def _effect_text(test: FactorTest) -> str:
     return f"{_difference_text(test)} {_direction_text(test)}"
 
 
-def _detectable_text(test: FactorTest) -> str:
-    return format_value(test.detectable, test.design.unit)
+def _not_shown_text(test: FactorTest, where: str = "") -> str:
+    """The estimate of what does not show, and what would have unless several levels reach it."""
+    effect, unit = test.effect, test.design.unit
+    where = where or (_direction_text(test) if test.design.direction else "")
+    found = f"{format_value(effect.difference, unit)}, 95 %: {format_range(effect.low, effect.high, unit)}"
+    text = f"{where} ({found}; {_adjusted_p_text([test])}".lstrip()
+    if effect.difference >= test.detectable:
+        return f"{text})"
+    return f"{text}; one of {format_value(test.detectable, unit)} would most likely have shown)"
 
 
 def _adjusted_p_text(factor_tests: Sequence[FactorTest]) -> str:
@@ -187,16 +234,23 @@ def _adjusted_p_text(factor_tests: Sequence[FactorTest]) -> str:
     return f"adjusted p {format_p_value(p_value, relation=True)}"
 
 
-def list_failed_assumptions(factor_tests: Sequence[FactorTest]) -> list[str]:
+def list_failed_assumptions(anova: Anova) -> list[str]:
     """Assumptions that fail, then those that cannot be checked, each once, with the tests concerned."""
-    sentences: dict[str, dict[str, list[FactorTestDesign]]] = {"doubtful": {}, "cannot tell": {}}
+    sentences: dict[str, dict[str, list[FactorTestDesign | NotTestable]]] = {
+        "doubtful": {},
+        "cannot tell": {},
+    }
     fine: dict[str, None] = {}
-    for each in factor_tests:
-        for check in each.assumptions:
+    checked: list[tuple[FactorTestDesign | NotTestable, tuple[AssumptionCheck, ...]]] = [
+        (NotTestable(OVERALL, each.joint, None, None, None, ""), each.assumptions) for each in anova.overall
+    ]
+    checked += [(each.design, each.assumptions) for each in anova.factor_tests]
+    for design, checks in checked:
+        for check in checks:
             if check.outcome == "holds":
                 fine[check.name] = None
             else:
-                sentences[check.outcome].setdefault(check.message, []).append(each.design)
+                sentences[check.outcome].setdefault(check.message, []).append(design)
     lines = [
         f"{capitalize_first(message)} ({name_designs(designs)})."
         for by_message in sentences.values()
@@ -206,11 +260,15 @@ def list_failed_assumptions(factor_tests: Sequence[FactorTest]) -> list[str]:
 
 
 def list_not_testable(reasons_by_design: Sequence[NotTestable]) -> list[str]:
-    """Why tests cannot be made, each reason once."""
-    designs: dict[str, list[NotTestable]] = {}
+    """Why tests cannot be made, each reason once; what all traverses may answer is marked as of one place."""
+    designs: dict[tuple[str, str], list[NotTestable]] = {}
     for each in reasons_by_design:
-        designs.setdefault(each.reason, []).append(each)
-    return [f"{capitalize_first(name_designs(same))}: {reason}." for reason, same in designs.items()]
+        alone = each.analysis in (DAY, DIRECTION) and each.configuration is not None
+        designs.setdefault((" at one configuration" if alone else "", each.reason), []).append(each)
+    return [
+        f"{capitalize_first(name_designs(same))}{where}: {reason}."
+        for (where, reason), same in designs.items()
+    ]
 
 
 def name_designs(designs: Sequence[FactorTestDesign | NotTestable]) -> str:
@@ -233,6 +291,7 @@ def _sessions_text(sessions: Sequence[str]) -> str:
 
 MAX_ROWS = 24
 AT_FLOOR = "*"
+NO_ANSWER = "Nothing can be answered from this log."
 CAUTIONS = "What to mind, and what cannot be answered"
 
 
@@ -240,7 +299,7 @@ CAUTIONS = "What to mind, and what cannot be answered"
 def summarize_anova(anova: Anova) -> Summary:
     """All factors in one table, a section for each joint, failed assumptions, tests that cannot be made."""
     sentences = sentences_by_joint(anova)
-    advice = {each.joint: recommend(each, anova.factor_tests) for each in anova.components}
+    advice = _advice_by_joint(anova)
     headline = [write_overview(joint, anova, advice.get(joint, [])) for joint in sentences]
     overview = overview_table(list(sentences), anova)
     sections = [Section(tables=(overview,))] if overview.rows else []
@@ -252,27 +311,40 @@ def summarize_anova(anova: Anova) -> Summary:
         )
         for joint, lines in sentences.items()
     ]
-    cautions = [*list_failed_assumptions(anova.factor_tests), *list_not_testable(anova.not_testable)]
+    cautions = [*list_failed_assumptions(anova), *list_not_testable(anova.not_testable)]
     if cautions:
         sections.append(Section(CAUTIONS, tuple(map(typeset_text, cautions))))
     return Summary(
         "Which factors matter",
-        tuple(map(typeset_text, headline)) or ("Nothing can be answered from this log.",),
+        tuple(map(typeset_text, headline)) or (NO_ANSWER,),
         tuple(sections),
     )
 
 
 def sentences_by_joint(anova: Anova) -> dict[int, list[str]]:
     """Conclusions and recommendations for each joint."""
-    joints = dict.fromkeys(each.design.joint for each in anova.factor_tests)
-    sentences = {joint: conclude(joint, anova.factor_tests) for joint in joints}
-    for each in anova.components:
-        sentences.setdefault(each.joint, []).extend(
-            advice.with_price() for advice in recommend(each, anova.factor_tests)
-        )
+    sentences = {each.joint: conclude_overall(each) for each in anova.overall}
+    for joint in dict.fromkeys(each.design.joint for each in anova.factor_tests):
+        sentences.setdefault(joint, []).extend(conclude(joint, _select_told(joint, anova)))
+    for joint, advice in _advice_by_joint(anova).items():
+        sentences.setdefault(joint, []).extend(each.with_price() for each in advice)
     for analysis in anova.positions:
         sentences.setdefault(analysis.joint, []).extend(conclude_positions(analysis))
     return dict(sorted(sentences.items()))
+
+
+def _select_told(joint: int, anova: Anova) -> list[FactorTest]:
+    """All but those at one configuration that do not show what all traverses together do."""
+    shown = {
+        test.term
+        for each in anova.overall
+        if each.joint == joint
+        for test in each.tests
+        if test.is_significant
+    }
+    tests = [test for test in anova.factor_tests if test.design.joint == joint]
+    shown -= {test.design.analysis for test in tests if test.is_significant}
+    return [test for test in tests if test.design.analysis not in shown]
 
 
 def tests_tables(anova: Anova) -> list[Table]:
@@ -286,7 +358,8 @@ def tests_tables(anova: Anova) -> list[Table]:
 
 def _tables(joint: int, anova: Anova) -> list[Table]:
     tests = [test for test in anova.factor_tests if test.design.joint == joint]
-    tables = [_tests_table(joint, tests), _squares_table(joint, tests)] if tests else []
+    tables = [overall_table(each) for each in anova.overall if each.joint == joint]
+    tables += [_tests_table(joint, tests), _squares_table(joint, tests)] if tests else []
     tables += [positions_table(each) for each in anova.positions if each.joint == joint]
     return [*tables, *(_components_table(each) for each in anova.components if each.joint == joint)]
 
@@ -303,8 +376,8 @@ def _tests_table(joint: int, tests: Sequence[FactorTest]) -> Table:
     shown = [test for test in tests if len(tests) <= MAX_ROWS or test.design.session is None]
     note = (
         "Adjusted: for everything asked of this log (Holm). Permutation: p from relabelled traverses; "
-        f"{AT_FLOOR} the smallest that so few can give. Detectable: the minimum difference detected at "
-        f"5 % in 80 of 100 such logs. {_places(shown)}"
+        f"{AT_FLOOR} the smallest that so few can give. Detectable: the difference that is declared, "
+        f"adjusted, in 80 of 100 such logs. {_places(shown)}"
     )
     if len(shown) < len(tests):
         note += f" Not shown: {len(tests) - len(shown)} answers within single sessions."

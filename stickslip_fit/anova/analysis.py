@@ -1,7 +1,7 @@
 """analyze_variance: F tests of day, direction, normal force (thesis Ch. 4 and 5) and position in a log.
 
-Start reading here. Order of reading: `designs`, `factor_test`, `contrasts`, `position`,
-`variance_components`.
+Start reading here. Order of reading: `overall`, `term_test`, `designs`, `factor_test`, `contrasts`,
+`position`, `variance_components`.
 P-values are adjusted over all tests by Holm's method. Each test, or the reason why it cannot be made,
 is one flat record.
 """
@@ -21,7 +21,7 @@ from stickslip_fit._io import write_atomically
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
 from stickslip_fit._threads import one_blas_thread
-from stickslip_fit.anova.contrasts import adjust_holm
+from stickslip_fit.anova.contrasts import adjust_holm, holm_levels
 from stickslip_fit.anova.designs import (
     ConfigurationChooser,
     FactorTestDesign,
@@ -34,7 +34,9 @@ from stickslip_fit.anova.designs import (
     step_size_observations,
 )
 from stickslip_fit.anova.factor_test import FactorTest, run_factor_test
-from stickslip_fit.anova.position import PositionAnalysis, PositionTest, analyze_positions
+from stickslip_fit.anova.overall import OVERALL, OverallAnalysis, analyze_overall
+from stickslip_fit.anova.position import PositionAnalysis, analyze_positions
+from stickslip_fit.anova.term_test import TermTest
 from stickslip_fit.anova.variance_components import VarianceComponents, estimate_components
 from stickslip_fit.estimation.result import AxesArray
 from stickslip_fit.logs import Log
@@ -85,10 +87,11 @@ def to_record(item: FactorTest | NotTestable) -> dict[str, object]:
     }
 
 
-def position_record(test: PositionTest, joint: int) -> dict[str, object]:
-    """As `to_record`, of a term of the analysis of position; difference, low and high in per cent."""
+def term_record(test: TermTest, analysis: OverallAnalysis | PositionAnalysis) -> dict[str, object]:
+    """As `to_record`, of a term of a model of all traverses; difference, low and high in per cent."""
     record: dict[str, object] = dict.fromkeys(RECORD_COLUMNS)
-    record |= {"analysis": test.term, "joint": joint, "F": test.statistic, "df": list(test.df)}
+    name = f"{OVERALL}: {test.term}" if isinstance(analysis, OverallAnalysis) else test.term
+    record |= {"analysis": name, "joint": analysis.joint, "F": test.statistic, "df": list(test.df)}
     record |= {"error_term": test.error_term, "p_value": test.p_value, "p_holm": test.p_holm}
     record |= {"omega_squared": test.omega_squared, "unit": "%"}
     if test.effect is not None:
@@ -109,6 +112,8 @@ class Anova(Summarized):
         Tests that the log does not allow, with the reason.
     observations : tuple of DataFrame
         Of each joint; see `step_size_observations`.
+    overall : tuple of OverallAnalysis
+        Of each joint whose traverses suffice, all of them together.
     positions : tuple of PositionAnalysis
         Of each joint that was driven over several stretches.
     machine : Machine
@@ -117,8 +122,14 @@ class Anova(Summarized):
     factor_tests: tuple[FactorTest, ...]
     not_testable: tuple[NotTestable, ...]
     observations: tuple[pd.DataFrame, ...] = ()
+    overall: tuple[OverallAnalysis, ...] = ()
     positions: tuple[PositionAnalysis, ...] = ()
     machine: Machine = field(default_factory=load_machine)
+
+    @property
+    def models(self) -> tuple[OverallAnalysis | PositionAnalysis, ...]:
+        """The analyses of more than one configuration."""
+        return (*self.overall, *self.positions)
 
     @cached_property
     def components(self) -> tuple[VarianceComponents, ...]:
@@ -146,10 +157,8 @@ class Anova(Summarized):
 
     def to_json(self) -> list[dict[str, object]]:
         """One object for each test, null where a field does not apply."""
-        positions = [
-            position_record(test, analysis.joint) for analysis in self.positions for test in analysis.tests
-        ]
-        return [*map(to_record, self.factor_tests), *positions, *map(to_record, self.not_testable)]
+        terms = [term_record(test, each) for each in self.models for test in each.tests]
+        return [*map(to_record, self.factor_tests), *terms, *map(to_record, self.not_testable)]
 
 
 POSITION_SHARE = 0.5  # of the time
@@ -164,10 +173,10 @@ def analyze_variance(
     choose: ConfigurationChooser = choose_most_informative,
     progress: ProgressCallback = ignore_progress,
 ) -> Anova:
-    """Test day, direction, normal force and position for each joint.
+    """Test day, direction, configuration, normal force and position for each joint.
 
-    The first three at one configuration, as in the thesis's Sections 4.2, 4.4 and 5.2; position over all
-    stretches of the joint's travel.
+    Day, direction and configuration by all traverses together; day, direction and normal force also at one
+    configuration, as in the thesis's Sections 4.2, 4.4 and 5.2; position over all stretches of the travel.
 
     Parameters
     ----------
@@ -194,31 +203,46 @@ def analyze_variance(
         for make_designs in (design_day_tests, design_direction_tests, design_normal_force_tests)
         for design in make_designs(subset, log.machine, choose)
     ]
-    along: list[tuple[PositionAnalysis | None, list[NotTestable]]] = []
-    for number, subset in by_joint:
-        progress(f"position along the travel, joint {number}", POSITION_SHARE * len(along) / len(by_joint))
-        along.append(analyze_positions(subset, log.machine))
-    positions = [analysis for analysis, _ in along if analysis is not None]
+    overall: list[OverallAnalysis] = []
+    positions: list[PositionAnalysis] = []
+    refused: list[NotTestable] = []
+    for done, (number, subset) in enumerate(by_joint):
+        progress(f"all traverses, joint {number}", POSITION_SHARE * done / len(by_joint))
+        whole, reasons = analyze_overall(subset, log.machine)
+        along, more = analyze_positions(subset, log.machine)
+        overall += [] if whole is None else [whole]
+        positions += [] if along is None else [along]
+        refused += [*reasons, *more]
     progress("factors", POSITION_SHARE)
-    anova = run_factor_tests([*designs, *(reason for _, refused in along for reason in refused)], positions)
+    anova = run_factor_tests([*designs, *refused], overall, positions)
     return replace(anova, observations=tuple(subset for _, subset in by_joint), machine=log.machine)
 
 
 def run_factor_tests(
-    designs: Sequence[FactorTestDesign | NotTestable], positions: Sequence[PositionAnalysis] = ()
+    designs: Sequence[FactorTestDesign | NotTestable],
+    overall: Sequence[OverallAnalysis] = (),
+    positions: Sequence[PositionAnalysis] = (),
 ) -> Anova:
-    """Make the tests, with p-values adjusted over all of them and those of `positions`."""
+    """Make the tests, with p-values adjusted over all of them and those of `overall` and `positions`."""
     results = [
         run_factor_test(design) if isinstance(design, FactorTestDesign) else design for design in designs
     ]
     factor_tests = [result for result in results if isinstance(result, FactorTest)]
-    along = [test for analysis in positions for test in analysis.tests]
-    adjusted = iter(adjust_holm([test.p_value for test in factor_tests] + [test.p_value for test in along]))
+    p_values = [test.p_value for test in factor_tests]
+    for tests in (*(each.tests for each in overall), *(each.tests for each in positions)):
+        p_values += [test.p_value for test in tests]
+    decisions = zip(map(float, adjust_holm(p_values)), map(float, holm_levels(p_values)), strict=True)
+
+    def decide[Test: (FactorTest, TermTest)](tests: Sequence[Test]) -> tuple[Test, ...]:
+        return tuple(
+            replace(test, p_holm=p_holm, level=level)
+            for test, (p_holm, level) in zip(tests, decisions, strict=False)
+        )
+
+    # In the order of the p-values.
     return Anova(
-        tuple(replace(test, p_holm=float(next(adjusted))) for test in factor_tests),
+        decide(factor_tests),
         tuple(result for result in results if isinstance(result, NotTestable)),
-        positions=tuple(
-            replace(each, tests=tuple(replace(test, p_holm=float(next(adjusted))) for test in each.tests))
-            for each in positions
-        ),
+        overall=tuple(replace(each, tests=decide(each.tests)) for each in overall),
+        positions=tuple(replace(each, tests=decide(each.tests)) for each in positions),
     )

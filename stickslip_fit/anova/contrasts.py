@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from stickslip_fit._typing import Array, IntArray
 
+SIGNIFICANCE_LEVEL, TARGET_POWER = 0.05, 0.80
 RANK_TOL = 1e-9  # relative length of the residual of a column that earlier columns span
 
 
@@ -80,6 +81,33 @@ def adjust_holm(p_values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     adjusted = np.empty_like(p_values)
     adjusted[order] = np.minimum(1.0, np.maximum.accumulate(p_values[order] * n_left))
     return adjusted
+
+
+def holm_levels(p_values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """The level that Holm's method leaves for each test: below it, its p-value is significant at 5 %.
+
+    With the other p-values as they are. Where r of these are rejected, it is 5 % over the number of all tests
+    less r: what a test is decided by, and so what its power is of.
+
+    Examples
+    --------
+    >>> holm_levels([0.001, 0.04, 0.03]).round(4).tolist()
+    [0.0167, 0.025, 0.025]
+    """
+    p_values = np.asarray(p_values, float)
+    order = np.argsort(p_values, kind="stable")
+    bounds = SIGNIFICANCE_LEVEL / (len(p_values) - np.arange(len(p_values)))
+    rejected = _count_rejected(p_values[order], bounds)
+    levels = np.full(len(p_values), bounds[min(rejected, len(bounds) - 1)] if len(bounds) else 1.0)
+    for place in range(rejected):
+        others = np.delete(p_values[order], place)
+        levels[order[place]] = bounds[_count_rejected(others, bounds[:-1])]
+    return levels
+
+
+def _count_rejected(ordered: Array, bounds: Array) -> int:
+    """How many of the smallest p-values, in order, are all below their bounds."""
+    return int(np.argmin(np.append(ordered < bounds, False)))
 
 
 @dataclass(frozen=True)
@@ -336,11 +364,8 @@ def _studentized_range_quantile(levels: int, df: float) -> float:
     return float(brentq(excess, 1e-3, 1e4, xtol=1e-10)) / np.sqrt(2.0)
 
 
-SIGNIFICANCE_LEVEL, TARGET_POWER = 0.05, 0.80
-
-
-def f_test_power(noncentrality: float, df: tuple[float, float]) -> float:
-    """Probability that the F test rejects at 5 %.
+def f_test_power(noncentrality: float, df: tuple[float, float], level: float = SIGNIFICANCE_LEVEL) -> float:
+    """Probability that the F test rejects at `level`.
 
     The noncentrality is the sum of squares of the true level means within blocks over the error's variance.
 
@@ -351,7 +376,7 @@ def f_test_power(noncentrality: float, df: tuple[float, float]) -> float:
     """
     from scipy.special import fdtri, ncfdtr
 
-    return float(1.0 - ncfdtr(*df, noncentrality, fdtri(*df, 1.0 - SIGNIFICANCE_LEVEL)))
+    return float(1.0 - ncfdtr(*df, noncentrality, fdtri(*df, 1.0 - level)))
 
 
 def smallest_noncentrality(difference: float, spread: float, comparison: BlockedComparison) -> float:
@@ -360,8 +385,10 @@ def smallest_noncentrality(difference: float, spread: float, comparison: Blocked
     return (difference / spread) ** 2 / float(difference_factor(factor).max())
 
 
-def detectable_difference(spread: float, comparison: BlockedComparison) -> float:
-    """The difference between two levels that is detected at 5 % with a power of 80 %.
+def detectable_difference(
+    spread: float, comparison: BlockedComparison, level: float = SIGNIFICANCE_LEVEL
+) -> float:
+    """The difference between two levels that is detected at `level` with a power of 80 %.
 
     `spread` is the standard deviation of the error.
 
@@ -371,16 +398,17 @@ def detectable_difference(spread: float, comparison: BlockedComparison) -> float
     >>> round(detectable_difference(1.0, two_days_of_three), 3)
     3.071
     """
-    noncentrality = noncentrality_at_power(comparison.df)
+    noncentrality = noncentrality_at_power(comparison.df, level)
     return spread * float(np.sqrt(noncentrality / smallest_noncentrality(1.0, 1.0, comparison)))
 
 
-def noncentrality_at_power(df: tuple[float, float]) -> float:
-    """The noncentrality at which the F test at 5 % has a power of 80 %."""
+@cache
+def noncentrality_at_power(df: tuple[float, float], level: float) -> float:
+    """The noncentrality at which the F test at `level` has a power of 80 %."""
     from scipy.optimize import brentq
 
     # FTestPower.solve_power stops within 1e-5 of the root, and FTestPowerF2's stays at its start for few df.
     upper = 10.0
-    while f_test_power(upper, df) < TARGET_POWER:
+    while f_test_power(upper, df, level) < TARGET_POWER:
         upper *= 4.0
-    return float(brentq(lambda size: f_test_power(size, df) - TARGET_POWER, 1e-6, upper, rtol=1e-10))
+    return float(brentq(lambda size: f_test_power(size, df, level) - TARGET_POWER, 1e-6, upper, rtol=1e-10))

@@ -309,8 +309,8 @@ class FactorTest:
     permutation : PermutationResult
     p_holm : float
         The F test's p-value, adjusted over all tests.
-    detectable : float
-        The difference between two levels that is detected at 5 % with a power of 80 %.
+    level : float
+        Of the F test's p-value, at which it is decided beside all other tests; see `holm_levels`.
     """
 
     design: FactorTestDesign
@@ -319,7 +319,13 @@ class FactorTest:
     levels: tuple[str, ...]
     permutation: PermutationResult
     p_holm: float
-    detectable: float
+    level: float = SIGNIFICANCE_LEVEL
+
+    @cached_property
+    def detectable(self) -> float:
+        """The difference between two levels that is found significant with a power of 80 %."""
+        comparison = build_comparison(self.design.units["level"], self.design.units["block"])
+        return detectable_difference(float(np.sqrt(self.sums.variance)), comparison, self.level)
 
     @cached_property
     def assumptions(self) -> tuple[AssumptionCheck, ...]:
@@ -367,7 +373,7 @@ class FactorTest:
 
 
 def run_factor_test(design: FactorTestDesign) -> FactorTest | NotTestable:
-    """Make one test; `p_holm` is its own p-value. Without any scatter F would be infinite: not testable."""
+    """Make one test, as if it were the only one. Without any scatter F would be infinite: not testable."""
     units = design.units
     values = units["step_size"].to_numpy(float)
     comparison = build_comparison(units["level"], units["block"])
@@ -384,7 +390,6 @@ def run_factor_test(design: FactorTestDesign) -> FactorTest | NotTestable:
         tuple(map(str, np.unique(units["level"].to_numpy(object)))),
         permute_levels(values, comparison),
         float(sums.p_value),
-        detectable_difference(spread, comparison),
     )
 
 

@@ -21,21 +21,15 @@ import pandas as pd
 
 from stickslip_fit._format import coordinate_unit
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.anova.contrasts import (
-    SIGNIFICANCE_LEVEL,
-    LevelDifference,
-    compare_means,
-    indicator_columns,
-    noncentrality_at_power,
-    orthonormal_basis,
-)
+from stickslip_fit.anova.contrasts import indicator_columns, orthonormal_basis
 from stickslip_fit.anova.designs import NotTestable, format_plain
+from stickslip_fit.anova.term_test import ErrorTerm, Term, TermTest, name_term, run_term_test
 from stickslip_fit.logs.schema import position_columns
 from stickslip_fit.machine import Machine, load_machine
 
 POSITION, DAY, DIRECTION, CONFIGURATION = "position", "day", "direction", "configuration"
 FACTORS = (CONFIGURATION, DAY, DIRECTION, POSITION)
-ASKED = ((POSITION,), (DAY, POSITION), (DIRECTION, POSITION), (DAY,), (DIRECTION,))
+ASKED = ((POSITION,), (DAY, POSITION), (DIRECTION, POSITION))
 REPLICATES, NEIGHBOURS, HIGHEST = "replicates", "traverses of one stretch", "highest interaction"
 MAX_SHARE_OF_TRAVEL = 0.5  # a longer traverse averages over what is to be compared
 MIN_REPEATED = 0.5  # share of the traverses whose ends are those of another session's
@@ -43,58 +37,6 @@ MAX_CLASSES, ROWS_PER_CELL = 8, 4  # of traverses with ends of their own
 MIN_REPLICATE_DF = 6
 MAX_COLUMNS = 400  # of a model: more take minutes
 NO_SCATTER = 1e-12  # relative: the rounding of doubles
-
-Term = tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class PositionTest:
-    """One F test of a term of the model; sizes are relative.
-
-    Attributes
-    ----------
-    term, error_term : str
-        What is tested, and against what.
-    statistic : float
-        F.
-    df : tuple of (float, float)
-    p_value, p_holm : float
-        The second adjusted over all tests of the log.
-    omega_squared : float
-        Partial.
-    size : float
-        Rms over the units of what the term does, less what noise does, at least 0.
-    detectable : float
-        The rms that is detected at 5 % with a power of 80 %.
-    effect : LevelDifference or None
-        Means of the levels and the largest difference between them, in log step size; None for interactions.
-    levels : tuple of str
-        In the order of the means.
-    """
-
-    term: str
-    error_term: str
-    statistic: float
-    df: tuple[float, float]
-    p_value: float
-    p_holm: float
-    omega_squared: float
-    size: float
-    detectable: float
-    effect: LevelDifference | None
-    levels: tuple[str, ...]
-
-    @property
-    def extreme_levels(self) -> tuple[str, str]:
-        """The levels with the largest and with the smallest mean; empty for an interaction."""
-        if self.effect is None:
-            return "", ""
-        return self.levels[self.effect.largest], self.levels[self.effect.smallest]
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether the term shows at 5 %, adjusted over all tests."""
-        return self.p_holm < SIGNIFICANCE_LEVEL
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +46,7 @@ class PositionAnalysis:
     Attributes
     ----------
     joint : int
-    tests : tuple of PositionTest
+    tests : tuple of TermTest
     stretches : tuple of str
         Names, from low to high.
     repeated : bool
@@ -117,7 +59,7 @@ class PositionAnalysis:
     """
 
     joint: int
-    tests: tuple[PositionTest, ...]
+    tests: tuple[TermTest, ...]
     stretches: tuple[str, ...]
     repeated: bool
     rows: pd.DataFrame = field(repr=False)
@@ -150,8 +92,8 @@ def analyze_positions(
     if model.n_columns > MAX_COLUMNS:
         return None, [_refuse(joint, POSITION, "too many stretches and sessions at once; use --since")]
     results = {term: model.test(term) for term in ASKED if set(term) <= set(model.factors)}
-    tests = tuple(result for result in results.values() if isinstance(result, PositionTest))
-    if isinstance(results[(POSITION,)], str) and len(tests) < 2:
+    tests = tuple(result for result in results.values() if isinstance(result, TermTest))
+    if isinstance(results[(POSITION,)], str) and not tests:
         return None, [_refuse(joint, POSITION, _explain_confounded(named))]
     refused = [_refuse(joint, name_term(term), r) for term, r in results.items() if isinstance(r, str)]
     ordered = tuple(used.sort_values("middle")[POSITION].unique())
@@ -176,11 +118,6 @@ def _explain_confounded(named: pd.DataFrame) -> str:
             "configuration, or ask diagnose, whose law takes the load out"
         )
     return "stretches change with the session: drive the same ones in each session"
-
-
-def name_term(term: Term) -> str:
-    """A term in words: day x position."""
-    return " x ".join(term)
 
 
 def name_stretches(rows: pd.DataFrame, machine: Machine) -> pd.DataFrame:
@@ -248,20 +185,6 @@ def _number_cells(table: pd.DataFrame, term: Sequence[str]) -> IntArray:
         factor = table[name].to_numpy()
         code = code * (factor.max() + 1) + factor
     return np.unique(code, return_inverse=True)[1]
-
-
-@dataclass(frozen=True)
-class ErrorTerm:
-    """The part of the response, shape (n,), that a term is compared with, its df and its name."""
-
-    values: Array
-    df: int
-    name: str
-
-    @property
-    def mean_square(self) -> float:
-        """Of the error."""
-        return float(self.values @ self.values) / self.df
 
 
 class PositionModel:
@@ -346,7 +269,7 @@ class PositionModel:
         basis, y = self._bases(self.cells, term)[1], self.cells["y"].to_numpy()
         return ErrorTerm(basis @ (basis.T @ y), basis.shape[1], name_term(term))
 
-    def test(self, term: Term) -> PositionTest | str:
+    def test(self, term: Term) -> TermTest | str:
         """The test of one term, or why the design does not allow it."""
         over_sessions = DAY in self.factors and DAY not in term
         table = self.cells if over_sessions else self.rows
@@ -359,34 +282,15 @@ class PositionModel:
             return "nothing to compare it with: repeat stretches, in this session and in others"
         if np.sqrt(error.mean_square) <= NO_SCATTER:
             return f"{error.name}: no scatter at all, so that nothing can be compared with it"
-        return self._compare(term, table, others, effect, error)
-
-    def _compare(
-        self, term: Term, table: pd.DataFrame, others: Array, effect: Array, error: ErrorTerm
-    ) -> PositionTest:
-        from scipy.special import fdtrc
-
-        y, n = table["y"].to_numpy(), len(table)
-        between, df = float(np.sum((effect.T @ y) ** 2)), effect.shape[1]
         follows_travel = POSITION in term and error.name not in (REPLICATES, NEIGHBOURS)
-        epsilon = _box_epsilon(error.values, table) if follows_travel else 1.0
-        statistic, reduced = between / df / error.mean_square, (epsilon * df, epsilon * error.df)
-        excess = df * (statistic - 1.0)
-        main = len(term) == 1
-        return PositionTest(
-            name_term(term),
-            error.name,
-            statistic,
-            reduced,
-            p_value := float(fdtrc(*reduced, statistic)),
-            p_value,
-            max(0.0, excess / (excess + n)),
-            float(np.sqrt(max(0.0, excess * error.mean_square / n))),
-            float(np.sqrt(noncentrality_at_power(reduced) / epsilon * error.mean_square / n)),
-            compare_means(y, table[term[0]].to_numpy(), others, np.sqrt(error.mean_square), reduced[1])
-            if main
-            else None,
-            self.levels[term[0]] if main else (),
+        return run_term_test(
+            term,
+            table["y"].to_numpy(),
+            (others, effect),
+            error,
+            codes=table[term[0]].to_numpy() if len(term) == 1 else None,
+            levels=self.levels[term[0]] if len(term) == 1 else (),
+            epsilon=_box_epsilon(error.values, table) if follows_travel else 1.0,
         )
 
 

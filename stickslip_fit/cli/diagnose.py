@@ -71,7 +71,7 @@ def anova(
     json: Json = None,
     display: Display,
 ) -> None:
-    """Analyse the variance: day, direction, normal force, position; or the terms of a formula."""
+    """Analyse the variance: day, direction, configuration, normal force, position; or a formula's terms."""
     from stickslip_fit._summary import join_summaries
     from stickslip_fit.anova import analyze_formula, analyze_variance, save_records
 

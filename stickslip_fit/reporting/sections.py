@@ -18,8 +18,8 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._summary import Section, Summary
 from stickslip_fit.anova import Anova
-from stickslip_fit.anova._summary import tests_tables
-from stickslip_fit.anova.position import DAY, DIRECTION, POSITION
+from stickslip_fit.anova._summary import NO_ANSWER, tests_tables
+from stickslip_fit.anova.position import POSITION
 from stickslip_fit.causes import Cause
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation._summary import departures_tables, flags
@@ -135,12 +135,13 @@ def _name_worst(worst: pd.Series, log: Log) -> str:
 
 
 FACTORS_EXPLAINED = (
-    "Does the step size change from session to session, with the direction, or when the base is turned about "
-    "the joint's axis, which leaves the load along it as it is? Each is tested at one configuration, the one "
-    "with most traverses, as in the thesis's Sections 4.2, 4.4 and 5.2: day against the scatter of traverses "
-    "within a session, the others in each session against the same, and over all sessions against how "
-    "differently sessions differ. Whether it differs along the joint's own travel is tested on all stretches "
-    "together."
+    "Does the step size change from session to session, with the direction, between configurations, or when "
+    "the base is turned about the joint's axis, which leaves the load along it as it is? The first three are "
+    "tested by all traverses of a joint together, against what these leave unexplained, for the sessions of "
+    "the log. Day, direction and the turned base are also tested at one configuration, the one with most "
+    "traverses, as in the thesis's Sections 4.2, 4.4 and 5.2: day against the scatter of traverses within a "
+    "session, the others in each session against the same, and over all sessions against how differently "
+    "sessions differ. Whether it differs along the joint's own travel is tested on all stretches together."
 )
 
 
@@ -148,7 +149,8 @@ def factors_section(anova: Anova, corrected: Anova | None = None, causes: Sequen
     """Which factors matter; of `corrected`, without the effect of `causes`, where it is given."""
     told = corrected or anova
     summary = told.summary()
-    paragraphs = list(summary.headline)
+    # Without an answer the conclusion has it.
+    paragraphs = [line for line in summary.headline if line != NO_ANSWER]
     if corrected is not None:
         paragraphs.insert(0, describe_correction(causes))
     tables = [table for section in summary.sections for table in section.tables]
@@ -185,13 +187,12 @@ def _conclude_factors(anova: Anova) -> str:
         found = named.setdefault(test.design.joint, {})
         if test.is_significant:
             found[test.design.analysis] = None
-    for analysis in anova.positions:
+    for analysis in anova.models:
         found = named.setdefault(analysis.joint, {})
         for term in [test.term for test in analysis.tests if test.is_significant]:
-            if term not in (DAY, DIRECTION):  # which the factor tests have
-                found["position along the travel" if term == POSITION else term] = None
+            found["position along the travel" if term == POSITION else term] = None
     if not named:
-        return "Nothing can be answered from this log."
+        return NO_ANSWER
     parts = [
         f"joint {joint}: {join_words(list(found)) or 'none that shows'}" for joint, found in named.items()
     ]

@@ -7,9 +7,11 @@ from scipy import stats
 from stickslip_fit.anova import FactorTestDesign, choose_most_informative, step_size_observations
 from stickslip_fit.anova.contrasts import (
     TARGET_POWER,
+    adjust_holm,
     build_comparison,
     detectable_difference,
     f_test_power,
+    holm_levels,
     largest_difference,
     smallest_noncentrality,
     sums_of_squares,
@@ -93,6 +95,28 @@ def test_power_is_what_its_formula_says(sizes):
     assert f_test_power(smallest_noncentrality(difference, 1.0, comparison), comparison.df) == pytest.approx(
         TARGET_POWER
     )
+
+
+def test_what_is_detectable_is_declared_among_many_tests_as_often_as_it_says():
+    """Of 20 tests of which one has an effect: the level that Holm leaves, not that of a single test."""
+    comparison, rng = build_comparison(np.repeat([0, 1], 3)), np.random.default_rng(8)
+    n, tests = 2000, 20
+    noise = rng.standard_normal((n, tests, 6))
+    p = sums_of_squares(noise, comparison).p_value
+    levels = np.array([holm_levels(each)[0] for each in p])
+    true = np.array([detectable_difference(1.0, comparison, level) for level in levels])
+    assert np.median(true) > 2.0 * detectable_difference(1.0, comparison)
+    noise[:, 0] += true[:, None] * comparison.level
+    p[:, 0] = sums_of_squares(noise[:, 0], comparison).p_value
+    declared = np.array([adjust_holm(each)[0] < 0.05 for each in p])
+    assert np.mean(declared) == pytest.approx(TARGET_POWER, abs=SAME * np.sqrt(0.16 / n))
+
+
+def test_the_level_that_holm_leaves_decides_as_the_adjusted_p_value_does():
+    rng = np.random.default_rng(9)
+    for _ in range(300):
+        p = rng.random(rng.integers(1, 12)) ** rng.integers(1, 6)
+        assert ((p < holm_levels(p)) == (adjust_holm(p) < 0.05)).all()
 
 
 def test_power_counts_what_blocks_leave_to_compare():

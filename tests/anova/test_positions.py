@@ -74,19 +74,20 @@ def test_f_and_p_are_those_of_statsmodels(machine, share_missing):
     tests = analyze(rows, machine)
     raw = anova_of(rows, "y ~ day * direction * place")
     error = raw.loc["Residual", "sum_sq"] / raw.loc["Residual", "df"]
-    for term, name in (("day x position", "day:place"), ("day", "day")):
-        expected = raw.loc[name, "sum_sq"] / raw.loc[name, "df"] / error
-        assert tests[term].statistic == pytest.approx(expected, rel=1e-8)
-        assert tests[term].p_value == pytest.approx(raw.loc[name, "PR(>F)"], rel=1e-6)
-        assert tests[term].error_term == "replicates"
+    by_day, line = tests["day x position"], raw.loc["day:place"]
+    assert by_day.statistic == pytest.approx(line["sum_sq"] / line["df"] / error, rel=1e-8)
+    assert by_day.p_value == pytest.approx(line["PR(>F)"], rel=1e-6)
+    assert by_day.error_term == "replicates"
     mean = rows.groupby(["session", "direction", "low"], as_index=False)["step_size"].agg(
         lambda steps: np.exp(np.log(steps).mean())
     )
     cells = anova_of(mean, "y ~ day * direction + day * place + direction * place")
     squares = cells["sum_sq"] / cells["df"]
     # Position by direction by day is what that model leaves.
-    pairs = (("position", "place", "day:place"), ("direction", "direction", "day:direction"))
-    for term, name, against in (*pairs, ("direction x position", "direction:place", "Residual")):
+    for term, name, against in (
+        ("position", "place", "day:place"),
+        ("direction x position", "direction:place", "Residual"),
+    ):
         test = tests[term]
         assert test.statistic == pytest.approx(squares[name] / squares[against], rel=1e-8)
         assert test.p_value == pytest.approx(stats.f.sf(test.statistic, *test.df), rel=1e-8)

@@ -21,13 +21,15 @@ def run(run):
 def test_the_answer_comes_first_and_the_json_holds_it(run, tmp_path):
     status, out, _ = run(REFERENCE, "--joint", 3, "--json", tmp_path / "anova.json")
     assert status == 0
-    assert out.startswith("Joint 3: the step size changes from session to session by up to 2.2 %")
+    assert out.startswith("Joint 3: the step size changes from session to session by up to 1.7 %")
     advice = "Recalibrate each session and keep separate parameters for each direction."
     assert advice in " ".join(out.split())
     assert len(out.splitlines()) <= 26, "a screen, and what was saved"
     records = json.loads((tmp_path / "anova.json").read_text("utf-8"))
     assert all(tuple(record) == RECORD_COLUMNS for record in records)
-    assert {record["analysis"] for record in records} == {"day", "direction", "normal-force", "position"}
+    alone = {"day", "direction", "normal-force", "position"}
+    together = {f"all traverses: {term}" for term in ("day", "direction", "configuration", "day x direction")}
+    assert {record["analysis"] for record in records} == alone | together
 
 
 def test_a_formula_prints_and_saves_its_table(run, tmp_path):

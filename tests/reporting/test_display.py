@@ -227,7 +227,7 @@ def test_factors_are_shown_with_sizes_and_adjusted_p(factors, read_page):
     assert sizes == pytest.approx([1e9 * each.effect.difference for each in factors.factor_tests], abs=0.051)
     told = [row[7] for row in table]
     assert [cell.startswith("<") for cell in told] == [each.p_holm < 1e-4 for each in factors.factor_tests]
-    assert "No change from session to session shows" in page.text
+    assert "no change from session to session shows" in page.text
 
 
 def test_a_log_of_which_nothing_can_be_asked_says_so(campaign, fitted, read_page):
