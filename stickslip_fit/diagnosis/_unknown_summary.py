@@ -237,7 +237,7 @@ def describe_lag(finding: Finding) -> str:
     what = f"{name_carrier(late.column)} some {from_si(late.lag, 'min'):.0f} min late"
     return (
         f"Steps seem to follow {what}: with this lag it explains {after:.0f} % of all that was found, "
-        f"without {before:.0f} %. "
+        f"without it {before:.0f} %. "
     )
 
 
