@@ -107,7 +107,7 @@ def _with_lack(size: Interval, effect: LawEffect, selection: Selection) -> Inter
 def _size_parameters(
     version: Any, cause: str, values: Array, covariance: Array
 ) -> tuple[SizedParameter, ...]:
-    """A cause's parameters with intervals; of a smooth function its rms, not its coefficients."""
+    """A cause's parameters with intervals, none beyond its bounds; of a smooth function its rms alone."""
     if hasattr(version, "summarize"):
         return tuple(version.summarize(values, covariance))
     if cause.startswith(COVARIATE_PREFIX) and not isinstance(version, LevelCause):
@@ -119,7 +119,7 @@ def _size_parameters(
         SizedParameter(
             parameter.name,
             parameter.unit,
-            Interval(value, value - Z_95 * sd, value + Z_95 * sd),
+            Interval(value, max(value - Z_95 * sd, parameter.lower), min(value + Z_95 * sd, parameter.upper)),
             parameter.joint,
             parameter.direction,
             parameter.session,
