@@ -1,7 +1,9 @@
 """Combinations: causes that show only together, and causes revised with the others in the law.
 
-Forward selection fails in three ways. Two effects may act so that neither alone explains more than
-unstructured alternatives do: pairs are tried before `unknown` is said (`first_of_pair`). Unstructured
+Forward selection fails in four ways. A cause may act on one joint alone, which its equation for all joints
+does not describe: it is tried in single joints (`find_in_one_joint`). Two effects may act so that neither
+alone explains more than unstructured alternatives do: pairs are tried before `unknown` is said
+(`first_of_pair`). Unstructured
 alternatives may take up a cause beside them: before the search ends with `unknown`, a cause with such
 structure beside it is compared with that alone (`find_beside_unknown`). Or a wrong cause may
 explain more alone than either of two right ones: each selected cause is compared with its close rivals,
