@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, partial, reduce
 from math import prod
 from typing import Any, ClassVar, Literal
@@ -135,6 +136,21 @@ class Cause(ABC):
             what it may do: `trial_values` or `scale`, unless overridden.
         """
         return [(self, np.array([self.scale] if self.trial_values is None else self.trial_values))]
+
+    def restricted(self, rows: pd.DataFrame) -> list[Cause]:
+        """The cause on a part of the traverses alone, a joint or a direction; none if it has no such form.
+
+        Beside others that are tried in a search for causes only where the whole one does not suffice.
+        """
+        joints = sorted({int(joint) for joint in rows["joint"]})
+        if self.joint != 0 or len(joints) < 2:
+            return []
+        return [replace(self, joint=joint) for joint in joints]  # type: ignore[type-var]
+
+    @property
+    def is_restricted(self) -> bool:
+        """Whether it acts on a part of the traverses alone."""
+        return bool(self.joint)
 
     def finer_trials(self, rows: pd.DataFrame, values: Array) -> Array:
         """Values that lie between those of `trials`, about some of shape (q,); (m, q), none as a rule."""

@@ -122,18 +122,36 @@ class AlongTravel(LinearFactor):
         return None if _find_travel(rows) else "every traverse of a joint runs the same range"
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`: each length and all, of one joint or all, of both directions, each or one."""
+        """See `Cause.trials`: each length and all, joint by joint and all together, by direction or not."""
         versions = [self]
         if self.amplitude is None:
             joints = [(one,) for one in self.travel] + ([self.travel] if len(self.travel) > 1 else [])
+            directions = (False, True) if rows["direction"].nunique() > 1 and not self.only else (False,)
             shapes = [*(prior_sds(length) for length in LENGTHS), rough_prior_sds()]
             versions = [
-                replace(self, travel=travel, by_direction=each, only=only, shape=tuple(shape.tolist()))
+                replace(self, travel=travel, by_direction=each, shape=tuple(shape.tolist()))
                 for shape in shapes
                 for travel in joints
-                for each, only in _directions_of(rows, travel)
+                for each in directions
             ]
         return [(version, np.diag(version.scale)) for version in versions]
+
+    def restricted(self, rows: pd.DataFrame) -> list[Cause]:
+        """See `Cause.restricted`: one direction, of joints whose traverses there have different ends."""
+        by_direction = dict(list(rows.groupby("direction")))
+        if self.amplitude is not None or len(by_direction) < 2:
+            return []
+        found: list[Cause] = []
+        for way, own in by_direction.items():
+            shown = {joint for joint, _, _ in _find_travel(own)}
+            if travel := tuple(one for one in self.travel if one[0] in shown):
+                found.append(replace(self, travel=travel, only=str(way)))
+        return found
+
+    @property
+    def is_restricted(self) -> bool:
+        """See `Cause.is_restricted`."""
+        return bool(self.only)
 
     def largest_plausible(self) -> tuple[Array, ...]:
         """See `Cause.largest_plausible`: each cosine alone."""
@@ -215,19 +233,6 @@ def _find_travel(rows: pd.DataFrame) -> tuple[tuple[int, float, float], ...]:
         if len(np.unique(stretches.round(7), axis=0)) > 1:
             travel.append((int(str(joint)), float(stretches.min()), float(stretches.max())))
     return tuple(travel)
-
-
-def _directions_of(rows: pd.DataFrame, travel: Sequence[tuple[int, float, float]]) -> list[tuple[bool, str]]:
-    """Whether each direction has a function of its own, or the only one, which traverses there can show."""
-    own = rows[rows["joint"].isin([joint for joint, _, _ in travel])]
-    by_direction = dict(list(own.groupby("direction")))
-    if len(by_direction) < 2:
-        return [(False, "")]
-    return [
-        (False, ""),
-        (True, ""),
-        *((False, str(way)) for way, one in by_direction.items() if _find_travel(one)),
-    ]
 
 
 def _cosine_integrals(share: Array, number: int) -> Array:

@@ -1,13 +1,12 @@
 """Combinations: causes that show only together, and causes revised with the others in the law.
 
-Forward selection fails in four ways. A cause may act on one joint alone, which its equation for all joints
-does not describe: it is tried in single joints (`find_in_one_joint`). Two effects may act so that neither
-alone explains more than unstructured alternatives do: pairs are tried before `unknown` is said
-(`first_of_pair`). Unstructured
-alternatives may take up a cause beside them: before the search ends with `unknown`, a cause with such
-structure beside it is compared with that alone (`find_beside_unknown`). Or a wrong cause may
-explain more alone than either of two right ones: each selected cause is compared with its close rivals,
-another cause added to these (`find_exchange`). At the end, causes that the others make needless are dropped
+Forward selection fails in four ways. A cause may act on one joint or direction alone, which its equation for
+all does not describe: it is tried on such parts (`find_in_part`). Two effects may act so that neither alone
+explains more than unstructured alternatives do: pairs are tried before `unknown` is said (`first_of_pair`).
+Unstructured alternatives may take up a cause beside them: before the search ends with `unknown`, a cause with
+such structure beside it is compared with that alone (`find_beside_unknown`). Or a wrong cause may explain
+more alone than either of two right ones: each selected cause is compared with its close rivals, another cause
+added to these (`find_exchange`). At the end, causes that the others make needless are dropped
 (`find_needless`).
 """
 
@@ -17,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -86,8 +86,8 @@ class PairSearch:
 
 
 @dataclass(frozen=True, eq=False)
-class JointSearch:
-    """As `PairSearch`, of causes that act on one joint alone: the test with these among the hypotheses."""
+class PartSearch:
+    """As `PairSearch`, of causes of one joint or direction alone: the test with these."""
 
     found: Misfit | None
     behind: float = np.inf
@@ -134,33 +134,37 @@ def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], 
     return PairSearch(None, min(lacking))
 
 
-def find_in_one_joint(
+def find_in_part(
     problem: DiagnosisProblem, searched: LinearizedFit, misfit: Misfit, likeliest: str
-) -> JointSearch:
-    """A test in which a cause that acts on one joint alone is likelier than the `likeliest` one, if any is.
+) -> PartSearch:
+    """A test in which a cause of one joint or direction alone is likelier than the `likeliest` one, if any.
 
     Causes have one size for all joints, which may differ: a knock against one of them, or its own warm-up.
     Beside unknown structure all are tried, beside a cause that one.
     """
-    joints = sorted({int(joint) for joint in searched.rows["joint"]})
     allowed = set(misfit.log_evidence_by_cause) if likeliest == UNKNOWN else {likeliest}
-    tried = [one for one in problem.causes if one.name in allowed and getattr(one, "joint", None) == 0]
-    if len(joints) < 2 or problem.autocorrelation is not None or not tried:
-        return JointSearch(None)
-    versions = [replace(one, joint=joint) for one in tried for joint in joints]
+    tried = [one for one in problem.causes if one.name in allowed and hasattr(one, "restricted")]
+    versions = [part for one in tried for part in one.restricted(searched.rows)]
+    if problem.autocorrelation is not None or not versions:
+        return PartSearch(None)
     test = add_candidates(misfit.hypotheses, searched, compute_finite_effects(searched, versions))
     evidence = test.log_evidence_by_cause
-    best = max((one.name for one in tried), key=lambda name: evidence.get(name, -np.inf))
-    version = test.best_hypothesis(best).version
+    names = dict.fromkeys(one.name for one in versions)
+    best = max(names, key=lambda name: evidence.get(name, -np.inf))
     behind = (
         misfit.log_evidence_by_cause.get(likeliest, -np.inf) + PAIR_LOG_PENALTY - evidence.get(best, -np.inf)
     )
-    if behind > 0 or not getattr(version, "joint", 0):
-        return JointSearch(None, max(behind, 0.0))
+    if behind > 0 or not is_restricted(test.best_hypothesis(best).version):
+        return PartSearch(None, max(behind, 0.0))
     found = replace(
         misfit, hypotheses=test.hypotheses, log_evidence=test.log_evidence, log_evidence_by_cause=evidence
     )
-    return JointSearch(found)
+    return PartSearch(found)
+
+
+def is_restricted(version: Any) -> bool:
+    """Whether a cause acts on one joint or direction alone."""
+    return bool(getattr(version, "is_restricted", False))
 
 
 def find_beside_unknown(
@@ -428,7 +432,7 @@ def revise_causes(
     """Each cause, and structure without a name, selected again with all the others in the law."""
     revised = list(causes)
     for place in range(len(causes)):
-        if getattr(causes[place].version, "joint", 0):  # which is no version that others are compared with
+        if is_restricted(causes[place].version):  # which is no version that others are compared with
             continue
         others = [one for k, one in enumerate(revised) if k != place]
         extension = extend_problem(problem, others)

@@ -26,9 +26,10 @@ from stickslip_fit.diagnosis.combinations import (
     PAIR_MIN_LOG_BAYES_FACTOR,
     find_beside_unknown,
     find_exchange,
-    find_in_one_joint,
+    find_in_part,
     find_needless,
     first_of_pair,
+    is_restricted,
     name_combinations,
     revise_causes,
 )
@@ -253,9 +254,7 @@ class _ForwardSelection:
         if chosen[-1].version is None:
             self.selected = chosen
             return False
-        extension = (
-            None if getattr(chosen[-1].version, "joint", 0) else refits.extensions.get(chosen[-1].cause)
-        )
+        extension = None if is_restricted(chosen[-1].version) else refits.extensions.get(chosen[-1].cause)
         extension = extension or extend_problem(problem, chosen)
         if self.selected and chosen[-1].cause != UNKNOWN:
             revised = revise_causes(extension[0], chosen, self.rng)
@@ -283,7 +282,7 @@ class _ForwardSelection:
         """The selected causes and the next one; unknown structure with a law for it where there is one."""
         problem, last, ahead_of_pairs = self.extension[0], self.last, np.inf
         following = make_selected(last, form_cause_set(last), refits.starts)
-        single = find_in_one_joint(problem, searched, last, following.cause)
+        single = find_in_part(problem, searched, last, following.cause)
         if single.found is not None:
             self.last = last = single.found
             following = make_selected(last, form_cause_set(last))
