@@ -140,7 +140,7 @@ class Cause(ABC):
     def restricted(self, rows: pd.DataFrame) -> list[Cause]:
         """The cause on a part of the traverses alone, a joint or a direction; none if it has no such form.
 
-        Beside others that are tried in a search for causes only where the whole one does not suffice.
+        A search for causes tries them where the cause on all traverses does not suffice.
         """
         joints = sorted({int(joint) for joint in rows["joint"]})
         if self.joint != 0 or len(joints) < 2:

@@ -229,7 +229,7 @@ def describe_unknown_gain(finding: Finding, diagnosis: Diagnosis) -> str:
 
 
 def describe_lag(finding: Finding) -> str:
-    """That a column explains with a lag what was found, as a sentence with a blank; else nothing."""
+    """That a column explains with a lag what was found, as a sentence and a space; else nothing."""
     late = finding.lagged
     if late is None:
         return ""
