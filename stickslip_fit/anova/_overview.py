@@ -72,7 +72,7 @@ def _advise(advice: Sequence[Advice]) -> list[str]:
 def write_overview(joint: int, anova: Anova, advice: Sequence[Advice]) -> str:
     """Which factors change a joint's step size, by how much; then what to do about it."""
     changes = _overall_changes(joint, anova)
-    told = {test.term for test in _overall_of(joint, anova) if test.is_significant}
+    told = anova.shown_terms(joint)
     for analysis, where in EFFECTS.items():
         tests = _tests_of(joint, anova, analysis) if analysis not in told else []
         over = [test for test in tests if test.design.session is None and test.is_significant]

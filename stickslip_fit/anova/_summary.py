@@ -71,13 +71,7 @@ def recommend(components: VarianceComponents, anova: Anova) -> list[Advice]:
         for test in anova.factor_tests
         if test.design.joint == joint and test.is_significant
     }
-    shown |= {
-        test.term
-        for each in anova.overall
-        if each.joint == joint
-        for test in each.tests
-        if test.is_significant
-    }
+    shown |= anova.shown_terms(joint)
     if BY_DAY_AND_DIRECTION in shown:
         shown |= {DAY, DIRECTION}
     return [
@@ -335,13 +329,7 @@ def sentences_by_joint(anova: Anova) -> dict[int, list[str]]:
 
 def _select_told(joint: int, anova: Anova) -> list[FactorTest]:
     """All but those at one configuration that do not show what all traverses together do."""
-    shown = {
-        test.term
-        for each in anova.overall
-        if each.joint == joint
-        for test in each.tests
-        if test.is_significant
-    }
+    shown = anova.shown_terms(joint)
     tests = [test for test in anova.factor_tests if test.design.joint == joint]
     shown -= {test.design.analysis for test in tests if test.is_significant}
     return [test for test in tests if test.design.analysis not in shown]

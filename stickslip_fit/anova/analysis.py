@@ -131,6 +131,11 @@ class Anova(Summarized):
         """The analyses of more than one configuration."""
         return (*self.overall, *self.positions)
 
+    def shown_terms(self, joint: int) -> set[str]:
+        """The terms that all traverses of a joint together show."""
+        models = [each for each in self.overall if each.joint == joint]
+        return {test.term for each in models for test in each.tests if test.is_significant}
+
     @cached_property
     def components(self) -> tuple[VarianceComponents, ...]:
         """Variance components of each joint that has them."""

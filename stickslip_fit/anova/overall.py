@@ -25,7 +25,15 @@ from stickslip_fit.anova.contrasts import indicator_columns, orthonormal_basis
 from stickslip_fit.anova.designs import NotTestable
 from stickslip_fit.anova.factor_test import AssumptionCheck, check_assumptions
 from stickslip_fit.anova.position import CONFIGURATION, DAY, DIRECTION
-from stickslip_fit.anova.term_test import ErrorTerm, Term, TermTest, name_term, run_term_test
+from stickslip_fit.anova.term_test import (
+    MAX_COLUMNS,
+    NO_SCATTER,
+    ErrorTerm,
+    Term,
+    TermTest,
+    name_term,
+    run_term_test,
+)
 from stickslip_fit.logs.schema import position_columns
 from stickslip_fit.machine import Machine, load_machine
 
@@ -41,8 +49,6 @@ MODELS = tuple(
     for degree in degrees
 )
 MIN_RESIDUAL_DF, MIN_RESIDUAL_SHARE = 6, 0.25  # of the traverses, that a model leaves to compare with
-MAX_COLUMNS = 400  # of a model: more take minutes
-NO_SCATTER = 1e-12  # relative: the rounding of doubles
 RESIDUAL = "residual"
 DRIFT = (
     "traverses drift within their session: sessions and configurations may differ by the hour, and not the "

@@ -23,7 +23,15 @@ from stickslip_fit._format import coordinate_unit
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.anova.contrasts import indicator_columns, orthonormal_basis
 from stickslip_fit.anova.designs import NotTestable, format_plain
-from stickslip_fit.anova.term_test import ErrorTerm, Term, TermTest, name_term, run_term_test
+from stickslip_fit.anova.term_test import (
+    MAX_COLUMNS,
+    NO_SCATTER,
+    ErrorTerm,
+    Term,
+    TermTest,
+    name_term,
+    run_term_test,
+)
 from stickslip_fit.logs.schema import position_columns
 from stickslip_fit.machine import Machine, load_machine
 
@@ -35,8 +43,6 @@ MAX_SHARE_OF_TRAVEL = 0.5  # a longer traverse averages over what is to be compa
 MIN_REPEATED = 0.5  # share of the traverses whose ends are those of another session's
 MAX_CLASSES, ROWS_PER_CELL = 8, 4  # of traverses with ends of their own
 MIN_REPLICATE_DF = 6
-MAX_COLUMNS = 400  # of a model: more take minutes
-NO_SCATTER = 1e-12  # relative: the rounding of doubles
 
 
 @dataclass(frozen=True, eq=False)

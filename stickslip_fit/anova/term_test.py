@@ -17,6 +17,9 @@ from stickslip_fit.anova.contrasts import (
     noncentrality_at_power,
 )
 
+MAX_COLUMNS = 400  # of a model: more take minutes
+NO_SCATTER = 1e-12  # relative: the rounding of doubles
+
 Term = tuple[str, ...]
 
 
