@@ -96,6 +96,20 @@ def test_a_function_of_each_logged_session_is_not_that_of_a_session_to_come(plan
     assert "joint 3 has a function of each logged session" in remark
 
 
+def test_counts_of_a_plan_follow_the_order_of_its_traverses_where_a_law_does(planned):
+    plan = planned(CALIBRATION)
+    last = float(len(plan.rows()) - 1)
+    term = SmoothTerm(("session_order",), ((0.0, last),), ((1,),), (0.1,))
+    law = ExtendedLaw(Prismatic(), (term,))
+    values = {(3, way, None): np.r_[one, 0.1] for way, one in TRUTH.items()}
+    log = simulate(plan, LawValues({3: law}, values, {}), load_machine(), seed=0)
+    plain = simulate(plan, truth(), load_machine(), seed=0)
+    expected = -0.1 * np.cos(np.pi * np.arange(last + 1) / last)
+    predicted = predict(fit_least_squares(log, causes=[term]), plan)["steps"].to_numpy()
+    for steps in (log.rows["steps"].to_numpy(), predicted):
+        assert np.log(steps / plain.rows["steps"].to_numpy()) == pytest.approx(expected, abs=0.02)
+
+
 def test_a_change_within_a_session_has_happened_before_a_session_to_come(planned):
     logged, then = planned(CALIBRATION, days(1)), planned(FRESH, "2012-03-20")
     jump = SessionJump(session="2012-03-05")
