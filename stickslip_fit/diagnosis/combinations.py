@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
-from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -71,29 +70,23 @@ class Combination:
 
 
 @dataclass(frozen=True, eq=False)
-class PairSearch:
-    """Two or three causes that together are likelier than unknown structure, if there are any.
+class Search[T]:
+    """What was looked for in place of unknown structure.
 
     Attributes
     ----------
-    found : Combination or None
+    found : T or None
     behind : float
-        Nats that the nearest combination lacks where none was found; infinite where none was possible.
+        Nats that the nearest one lacks where none was found; infinite where none was possible.
     """
 
-    found: Combination | None
+    found: T | None
     behind: float = np.inf
 
 
-@dataclass(frozen=True, eq=False)
-class PartSearch:
-    """As `PairSearch`, of causes of one joint or direction alone: the test with these."""
-
-    found: Misfit | None
-    behind: float = np.inf
-
-
-def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit) -> PairSearch:
+def first_of_pair(
+    problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit
+) -> Search[Combination]:
     """Two or three causes that together are likelier than unknown structure, if there are any.
 
     The sum of two effects is in the span of neither, so that alone each loses to unknown structure.
@@ -122,21 +115,21 @@ def first_of_pair(problem: DiagnosisProblem, selected: Sequence[SelectedCause], 
         elif left.log_evidence_by_cause[second] > PAIR_MIN_LOG_BAYES_FACTOR:
             pairs.append((pair, [first, make_selected(left, form_cause_set(left, second))]))
     if best is not None or not pairs:
-        return PairSearch(best, min(lacking))
+        return Search(best, min(lacking))
     pair, both = max(pairs, key=lambda scored: scored[0])
     left, third, unknown = _next_cause(extend_problem(problem, [*selected, *both]), [*selected, *both])
     share = left.log_evidence_by_cause.get(third, -np.inf)
     if third == UNKNOWN:
-        return PairSearch(None, min(lacking))
+        return Search(None, min(lacking))
     lacking.append(max(highest + PAIR_LOG_PENALTY - pair - share, unknown - share))
     if lacking[-1] < 0:
-        return PairSearch(Combination(both[0], (both[1].cause, third)))
-    return PairSearch(None, min(lacking))
+        return Search(Combination(both[0], (both[1].cause, third)))
+    return Search(None, min(lacking))
 
 
 def find_in_part(
     problem: DiagnosisProblem, searched: LinearizedFit, misfit: Misfit, likeliest: str
-) -> PartSearch:
+) -> Search[Misfit]:
     """A test in which a cause of one joint or direction alone is likelier than the `likeliest` one, if any.
 
     Causes have one size for all joints, which may differ: a knock against one of them, or its own warm-up.
@@ -146,7 +139,7 @@ def find_in_part(
     tried = [one for one in problem.causes if one.name in allowed and hasattr(one, "restricted")]
     versions = [part for one in tried for part in one.restricted(searched.rows)]
     if problem.autocorrelation is not None or not versions:
-        return PartSearch(None)
+        return Search(None)
     test = add_candidates(misfit.hypotheses, searched, compute_finite_effects(searched, versions))
     evidence = test.log_evidence_by_cause
     names = dict.fromkeys(one.name for one in versions)
@@ -154,22 +147,17 @@ def find_in_part(
     behind = (
         misfit.log_evidence_by_cause.get(likeliest, -np.inf) + PAIR_LOG_PENALTY - evidence.get(best, -np.inf)
     )
-    if behind > 0 or not is_restricted(test.best_hypothesis(best).version):
-        return PartSearch(None, max(behind, 0.0))
+    if behind > 0 or not getattr(test.best_hypothesis(best).version, "is_restricted", False):
+        return Search(None, max(behind, 0.0))
     found = replace(
         misfit, hypotheses=test.hypotheses, log_evidence=test.log_evidence, log_evidence_by_cause=evidence
     )
-    return PartSearch(found)
-
-
-def is_restricted(version: Any) -> bool:
-    """Whether a cause acts on one joint or direction alone."""
-    return bool(getattr(version, "is_restricted", False))
+    return Search(found)
 
 
 def find_beside_unknown(
     problem: DiagnosisProblem, searched: LinearizedFit, unknown: SelectedCause, level: float
-) -> PairSearch:
+) -> Search[Combination]:
     """A cause that with `unknown` structure beside it is likelier than such structure alone, if any.
 
     Structure without a name takes up a cause that acts like it in part, and both would have one size; and
@@ -183,7 +171,7 @@ def find_beside_unknown(
     known = [one for one in shapes if one.cause in misfit.log_evidence_by_cause]
     tests = _weigh_beside_unknown(misfit, known, df) if problem.autocorrelation is None and known else []
     if not tests:
-        return PairSearch(None)
+        return Search(None)
     causes = [cause for cause in misfit.log_evidence_by_cause if cause != UNKNOWN]
     each = {cause: [evidence.get(cause, -np.inf) for evidence, _ in tests] for cause in causes}
     together = {cause: float(logsumexp(values)) for cause, values in each.items()}
@@ -198,11 +186,11 @@ def find_beside_unknown(
         left, test = _test_beside_unknown(misfit, known, df, *tests[int(np.argmax(each[best]))])
         if not assess_support(searched, left, best).too_narrow:
             one = make_selected(left, form_cause_set(replace(left, log_evidence_by_cause=together), best))
-            return PairSearch(Combination(replace(one, misfit=test), (UNKNOWN,)), behind)
+            return Search(Combination(replace(one, misfit=test), (UNKNOWN,)), behind)
     # Beside such structure every effect has some evidence, which other rows hardly turn into enough.
     least = together[UNKNOWN] + PAIR_MIN_LOG_BAYES_FACTOR
     near = [together[cause] for cause in causes if together[cause] > least]
-    return PairSearch(None, max(to_beat - max(near, default=-np.inf), 0.0))
+    return Search(None, max(to_beat - max(near, default=-np.inf), 0.0))
 
 
 Whitening = Callable[[Array], Array]
@@ -432,7 +420,8 @@ def revise_causes(
     """Each cause, and structure without a name, selected again with all the others in the law."""
     revised = list(causes)
     for place in range(len(causes)):
-        if is_restricted(causes[place].version):  # which is no version that others are compared with
+        # Restricted to a part, it is no version that others are compared with.
+        if getattr(causes[place].version, "is_restricted", False):
             continue
         others = [one for k, one in enumerate(revised) if k != place]
         extension = extend_problem(problem, others)

@@ -29,7 +29,6 @@ from stickslip_fit.diagnosis.combinations import (
     find_in_part,
     find_needless,
     first_of_pair,
-    is_restricted,
     name_combinations,
     revise_causes,
 )
@@ -254,7 +253,8 @@ class _ForwardSelection:
         if chosen[-1].version is None:
             self.selected = chosen
             return False
-        extension = None if is_restricted(chosen[-1].version) else refits.extensions.get(chosen[-1].cause)
+        is_part = getattr(chosen[-1].version, "is_restricted", False)  # of which no refit was made
+        extension = None if is_part else refits.extensions.get(chosen[-1].cause)
         extension = extension or extend_problem(problem, chosen)
         if self.selected and chosen[-1].cause != UNKNOWN:
             revised = revise_causes(extension[0], chosen, self.rng)
@@ -523,13 +523,5 @@ def compute_cause_jacobian(selection: Selection) -> Array:
 def empty_selection(problem: DiagnosisProblem) -> Selection:
     """The selection of a log that is too small for a test."""
     misfit = Misfit(np.zeros(0), (), np.zeros(0), {}, 1.0, np.zeros(0))
-    return Selection(
-        problem,
-        NO_ROWS,
-        (),
-        misfit,
-        misfit,
-        1.0,
-        problem.fit_extended(),
-        problem.linearize(),
-    )
+    fit = problem.fit_extended()
+    return Selection(problem, NO_ROWS, (), misfit, misfit, 1.0, fit, problem.linearize())
