@@ -163,11 +163,6 @@ def escape_latex(text: str) -> str:
     return "".join(LATEX.get(letter, letter) for letter in printable)
 
 
-def tables_as_latex(tables: Iterable[Cells]) -> str:
-    r"""All tables, one below the other, to be read by \input."""
-    return "\n".join(["% \\usepackage{booktabs}", *map(table_as_latex, tables)])
-
-
 def csv_names(captions: Iterable[str]) -> list[str]:
     """A file's name for each table, from its caption; no two alike."""
     names: list[str] = []

@@ -18,7 +18,7 @@ from itertools import groupby
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, Protocol
 
-from stickslip_fit._export import csv_names, table_as_csv, table_as_latex, tables_as_latex
+from stickslip_fit._export import csv_names, table_as_csv, table_as_latex
 from stickslip_fit._format import NO_BREAK_SPACE, keep_units
 
 if TYPE_CHECKING:
@@ -257,17 +257,12 @@ class Summary:
 
     def as_csv(self) -> dict[str, str]:
         """The tables as CSV, each by the name of a file."""
-        return dict(
-            zip(
-                csv_names(table.caption for table in self.tables),
-                (table.as_csv() for table in self.tables),
-                strict=True,
-            )
-        )
+        names = csv_names(table.caption for table in self.tables)
+        return dict(zip(names, map(table_as_csv, self.tables), strict=True))
 
     def as_latex(self) -> str:
         """All tables for LaTeX's input command; they need the package booktabs."""
-        return tables_as_latex(self.tables)
+        return "\n".join(["% \\usepackage{booktabs}", *map(table_as_latex, self.tables)])
 
     def _blocks(self, width: int, full: bool) -> Iterator[str]:
         yield from (paragraph(text, width) for text in self.headline)

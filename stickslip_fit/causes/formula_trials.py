@@ -350,12 +350,8 @@ class TrialSearch(ABC):
         for k, name in enumerate(amplitudes):
             if name in by_name:
                 own = slice(k * len(self.levels), (k + 1) * len(self.levels))
-                sizes[own] = self.in_own_unit(name, float(by_name[name]))
+                sizes[own] = to_si(float(by_name[name]), self.declared[name].unit)
         return tuple(sizes.tolist())
-
-    def in_own_unit(self, name: str, value: float) -> float:
-        """A number in the unit that a parameter is displayed in, in the one that is computed in."""
-        return to_si(value, self.declared[name].unit)
 
 
 def first_row(rows: BoolArray) -> int:

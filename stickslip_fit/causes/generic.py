@@ -89,10 +89,6 @@ class GenericCause(TableCause):
         """See `Cause`."""
         return (self.size,) * len(self.parameters)
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
-        """See `Cause`."""
-        return [(self, np.array([self.scale]))]
-
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `Cause`."""
         opposite = ", oppositely in the two directions" if self.direction else ""
@@ -232,7 +228,7 @@ class WarmUp(SteadyDrift):
         """See `Cause`."""
         return show_time(parameters, "tau", self.time_unit)
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `GenericCause`."""
         tau = TIME_CONSTANT_SHARES * self.longest
         return [(self, np.column_stack([np.full(len(tau), self.size), tau]))]
@@ -289,7 +285,7 @@ class SuddenChange(AddedTerm):
         """See `Cause`."""
         return show_time(parameters, "moment", self.time_unit)
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `GenericCause`."""
         return [
             (replace(self, session=session), np.column_stack([np.full(len(moments), self.size), moments]))
@@ -394,7 +390,7 @@ class ColumnDependence(CovariateCause, AddedTerm):
         """See `GenericCause`: the coefficients of a curve are left out."""
         return {"column": self.column, "opposite": super().quantities({})["opposite"]}
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `GenericCause`: a simple curve, and one that bends more."""
         most = min(FINE_ORDER, rows[self.column].nunique() - 1)
         versions = [self, *([replace(self, order=most)] if most > self.order else [])]
@@ -437,7 +433,7 @@ class SmoothColumnDependence(ColumnDependence):
         """The same with another size: all prior standard deviations times a number."""
         return replace(self, sds=tuple(amplitude * sd for sd in self.sds))
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `GenericCause`."""
         return [(self, np.diag(self.sds))]
 
@@ -525,7 +521,7 @@ class SessionOffset(AddedTerm):
         """See `GenericCause`."""
         return {}
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `GenericCause`."""
         return [(self, self.size * np.eye(len(self.parameters)))]
 
@@ -548,7 +544,6 @@ class OutlyingValues(AddedTerm):
     shows_best = "replicates: an outlier does not come back"
     sentence = "About one value in {one_in} is off by {size} or so"
     remedy = "measuring those values again"
-    columns = ()
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
@@ -562,7 +557,7 @@ class OutlyingValues(AddedTerm):
         """See `GenericCause`."""
         return {"one_in": f"{round(1 / sizes['share'].size.estimate):,}", "size": sizes["size"]}
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `GenericCause`: none, as such values deviate independently."""
         return []
 

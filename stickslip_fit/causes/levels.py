@@ -21,11 +21,11 @@ import pandas as pd
 
 from stickslip_fit._format import format_measured, format_significant, join_words
 from stickslip_fit._typing import Array
+from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.generic import (
     AddedTerm,
     ColumnDependence,
     CovariateCause,
-    GenericCause,
     Term,
     linear_term,
 )
@@ -149,7 +149,7 @@ class LevelCause(CovariateCause):
         """Of each parameter."""
         return (np.inf,) * len(self.scale)
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `GenericCause`: each level by itself, the first one by all others, so that none is special."""
         scale = np.array(self.scale).reshape(-1, len(self.named))
         others = np.kron(np.diag(scale[:, 0]), np.full(len(self.named), -1.0))
@@ -198,7 +198,7 @@ class PooledLevels(LevelCause):
         """The same with another size of the prior."""
         return replace(self, amplitude=float(amplitude))
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `GenericCause`: each level by itself."""
         return [(self, np.diag(self.scale))]
 
@@ -341,7 +341,7 @@ class PooledParameters(PooledLevels, ParametersByLevel):
 class LabelDependence(LevelDependence):
     """The response depends on a column of labels in any of these ways."""
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `GenericCause`: offsets, and other parameters of the law; levels without rows are left out."""
         own = set(name_levels(rows[self.column]))
         levels = tuple(level for level in self.levels if level in own)
@@ -368,7 +368,7 @@ class IntegerDependence(ColumnDependence):
 
     as_labels: LabelDependence
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `GenericCause`: a simple curve, and those of labels, as a curve that bends more is."""
         labelled = self.as_labels.trials(rows)
         if len(self.as_labels.levels) == 2:  # the same but for the words

@@ -10,7 +10,8 @@ import pandas as pd
 
 from stickslip_fit._format import format_duration
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.generic import AddedTerm, CovariateCause, GenericCause, Term, linear_term
+from stickslip_fit.causes.base import Cause
+from stickslip_fit.causes.generic import AddedTerm, CovariateCause, Term, linear_term
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter, Sizes
 from stickslip_fit.causes.smooth import harmonics
 from stickslip_fit.laws import Rows
@@ -45,7 +46,7 @@ class PeriodicPosition(CovariateCause, AddedTerm):
         """See `GenericCause`."""
         return {**super().quantities(sizes), "column": self.column, "period": self.period}
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `GenericCause`: periods between the range and the spacing of positions, even in frequency."""
         position = rows[self.column].to_numpy(float)
         extent = float(np.ptp(position))
@@ -120,7 +121,7 @@ class PeriodicTime(AddedTerm):
             summary.append(SizedParameter(name, TableUnit(self.unit), size))
         return tuple(summary)
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `GenericCause`."""
         return [(self, self.size * np.diag(1.0 / np.repeat(np.arange(1, self.harmonics + 1), 2)))]
 

@@ -18,6 +18,7 @@ from numpy.polynomial.legendre import legvander
 from stickslip_fit._format import format_duration
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import proposed
+from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.generic import AddedTerm, GenericCause, Term, linear_term
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.causes.smooth import cosines, harmonics, wave_products
@@ -90,7 +91,7 @@ class SmoothTableTerm(GenericCause):
         """The same with another size: all prior standard deviations times a number."""
         return replace(self, sds=tuple(amplitude * sd for sd in self.sds))
 
-    def trials(self, rows: pd.DataFrame) -> list[tuple[GenericCause, Array]]:  # type: ignore[override]
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause`."""
         return [(self, np.diag([parameter.prior_sd for parameter in self.parameters]))]
 

@@ -36,7 +36,6 @@ class ResponseZero(AddedTerm):
     shows_best = "the response where the law says that there is none"
     sentence = "The response is {d:higher|lower} by {d} in every row"
     remedy = "measuring the zero"
-    columns = ()
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]

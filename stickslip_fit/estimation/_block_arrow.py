@@ -24,7 +24,6 @@ from stickslip_fit.estimation._optimize import (
     Objective,
     SingularFactors,
     factorize,
-    products_by_group,
     search,
 )
 from stickslip_fit.estimation.identifiability import identifiable_parameters
@@ -159,7 +158,7 @@ class _BlockArrow(Objective):
         return factors.own.rank + _distribute_rank(factors.border.rank, self.sharing.sets, self.groups.sizes)
 
     def curvature(self, here: NormalEquations) -> Array:
-        return _curvature(here.curvature(self.scales), self.sharing, self.scales)
+        return shared_curvature(here.curvature(self.scales), self.sharing, self.scales)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,37 +211,17 @@ class _ArrowFactors:
         return _eliminate_own(self.products, self.own.inverse(), self.sharing)
 
 
-def shared_curvature(
-    slopes: Array, weight: Array, groups: Groups, sharing: ParameterSharing, scales: Array
-) -> Array:
-    """J' W J of each group's parameters by all rows, the other groups' own parameters eliminated.
-
-    Parameters
-    ----------
-    slopes : array, shape (n, p)
-        Derivatives of the responses by each row's own parameters.
-    weight : array, shape (n,)
-        Inverse variance.
-    groups : Groups
-    sharing : ParameterSharing
-    scales : array, shape (g, p)
-
-    Returns
-    -------
-    array, shape (g, p, p)
-        Its inverse is the covariance of the group's own and the shared parameters.
-    """
-    return _curvature(products_by_group(slopes.T * np.sqrt(weight), groups), sharing, scales)
-
-
 def shared_covariance(minimum: Minimum, sharing: ParameterSharing, scales: Array) -> Array:
     """Covariance of the parameters that all groups share, shape (q, q)."""
     border = _reduced(minimum.curvature[:1], sharing, scales[:1])
     return identifiable_parameters(border, scales[:1, sharing.parameters])[2][0]
 
 
-def _curvature(products: Array, sharing: ParameterSharing, scales: Array) -> Array:
-    """J' W J of each group with that of its set's other groups, whose own parameters are eliminated."""
+def shared_curvature(products: Array, sharing: ParameterSharing, scales: Array) -> Array:
+    """J' W J of each group, (g, p, p), with that of its set's other groups, own parameters eliminated.
+
+    Its inverse is the covariance of the group's own and the shared parameters.
+    """
     reduced, common = _reduced(products, sharing, scales), np.flatnonzero(sharing.parameters)
     curvature = products.copy()
     curvature[:, common[:, None], common] += sharing.total(reduced)[sharing.sets.of_row] - reduced

@@ -27,7 +27,7 @@ from stickslip_fit.estimation._block_arrow import (
     solve_block_arrow,
 )
 from stickslip_fit.estimation._groups import Groups, group_rows, mean_step_sizes
-from stickslip_fit.estimation._optimize import Minimum, RowSubsetModel, minimize
+from stickslip_fit.estimation._optimize import Minimum, RowSubsetModel, minimize, products_by_group
 from stickslip_fit.estimation.noise import GAUSSIAN, GIVEN_DF, Likelihood, NoiseLevel
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.laws.base import Model
@@ -183,7 +183,8 @@ class Problem:
 
     def curvature(self, slopes: Array, information: Array) -> Array:
         """Half the second derivative by every group's parameters, all rows and priors together; (g, p, p)."""
-        curvature = shared_curvature(slopes, information, self.groups, self.sharing, self.scales)
+        products = products_by_group(slopes.T * np.sqrt(information), self.groups)
+        curvature = shared_curvature(products, self.sharing, self.scales)
         curvature[:, self.penalised, self.penalised] += self.prior_weight
         return curvature
 

@@ -187,16 +187,19 @@ class TableFit(Summarized):
         """Rows as the law's causes see them, times counted from where each fitted session began."""
         if not isinstance(frame, pd.DataFrame):
             raise InputError(f"predict needs a DataFrame, not {type(frame).__name__}")
-        needed = [name for name in self.law.columns if name not in self._response_columns]
+        base = getattr(self.law, "law", self.law)
+        response = set(base.left.names) - set(base.right.names)
+        needed = [name for name in self.law.columns if name not in response]
         needs_time = "session_seconds" in needed
         texts = {self.roles.direction, self.roles.group, self.roles.session}
         texts |= {getattr(getattr(cause, "source", None), "by", None) for cause in self._causes}
         levels = [cause for cause in self._causes if isinstance(cause, LevelCause)]
         texts |= {cause.column for cause in levels}
         numbers = [name for name in needed if name not in (*OWN_COLUMNS, *texts)]
+        has_own = self.n_own > 0 or "session" in self.law.columns or any(one.session for one in self._causes)
         roles = replace(
             self.roles,
-            session=self.roles.session if self._needs_session or self.roles.session in frame else None,
+            session=self.roles.session if has_own or self.roles.session in frame else None,
             time=self.roles.time if needs_time else None,
             position=None,
             group=None,
@@ -215,15 +218,6 @@ class TableFit(Summarized):
     @property
     def _causes(self) -> tuple[Any, ...]:
         return tuple(getattr(self.law, "causes", ()))
-
-    @property
-    def _response_columns(self) -> set[str]:
-        base = getattr(self.law, "law", self.law)
-        return set(base.left.names) - set(base.right.names)
-
-    @property
-    def _needs_session(self) -> bool:
-        return self.n_own > 0 or "session" in self.law.columns or any(one.session for one in self._causes)
 
     def _session_index(self, rows: pd.DataFrame) -> IntArray:
         if self.n_own == 0:

@@ -317,38 +317,14 @@ def apply_drift(stage: Stage, drift: StageDrift, time: float, distance: float) -
     return replace(stage, contact=contact, drive=replace(stage.drive, gain=stage.drive.gain * factors.gain))
 
 
-def change_load(stage: Stage, value: float) -> Stage:
-    """The stage under another load, m/s^2."""
-    return replace(stage, load=value)
-
-
-def change_mass(stage: Stage, value: float) -> Stage:
-    """The stage with another slider mass, kg; the load stays an acceleration, as gravity is."""
-    return replace(stage, mass=value)
-
-
-def change_voltage(stage: Stage, value: float) -> Stage:
-    """The stage at another voltage, V."""
-    return replace(stage, drive=replace(stage.drive, voltage=value))
-
-
-def change_preload(stage: Stage, value: float) -> Stage:
-    """The stage with another preload, N; the bristles' stiffness stays."""
-    return replace(stage, contact=replace(stage.contact, preload=value))
-
-
-def change_ramp_time(stage: Stage, value: float) -> Stage:
-    """The stage with another ramp time, s."""
-    return replace(stage, drive=replace(stage.drive, ramp_time=value))
-
-
 CHANGES: Mapping[str, Callable[[Stage, float], Stage]] = {
-    "load": change_load,
-    "mass": change_mass,
-    "voltage": change_voltage,
-    "preload": change_preload,
-    "ramp time": change_ramp_time,
+    "load": lambda stage, value: replace(stage, load=value),
+    "mass": lambda stage, value: replace(stage, mass=value),  # the load, an acceleration, stays
+    "voltage": lambda stage, value: replace(stage, drive=replace(stage.drive, voltage=value)),
+    "preload": lambda stage, value: replace(stage, contact=replace(stage.contact, preload=value)),
+    "ramp time": lambda stage, value: replace(stage, drive=replace(stage.drive, ramp_time=value)),
 }
+"""The stage with another value of a quantity, SI."""
 
 
 @dataclass(frozen=True, eq=False)
