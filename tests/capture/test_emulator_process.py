@@ -6,9 +6,9 @@ import time
 import pytest
 
 from stickslip_fit.capture.devices import open_controller
-from stickslip_fit.capture.emulator.rig import start_emulator
 from stickslip_fit.capture.protocols import ConnectionLost, ControllerError
 from stickslip_fit.errors import InputError
+from tests.capture.emulator_process import start_emulator
 from tests.capture.truths import LAWS
 
 pytest.importorskip("serial", reason="pyserial is not installed")

@@ -11,7 +11,7 @@ from stickslip_fit.capture.devices import open_controller
 from stickslip_fit.capture.emulator.acoustics import Acoustics
 from stickslip_fit.capture.emulator.campaign import tune_emulated
 from stickslip_fit.capture.emulator.manipulator import HiddenLaws
-from stickslip_fit.capture.emulator.rig import emulate_rig, start_emulator
+from stickslip_fit.capture.emulator.rig import emulate_rig
 from stickslip_fit.capture.end_stop import SequentialDetector
 from stickslip_fit.capture.operator import OperatorReply
 from stickslip_fit.capture.protocols import ConnectionLost, RealClock
@@ -20,6 +20,7 @@ from stickslip_fit.capture.traverse import Rig
 from stickslip_fit.errors import InputError
 from stickslip_fit.logs import read_log
 from stickslip_fit.simulation import read_law_values
+from tests.capture.emulator_process import start_emulator
 from tests.capture.played import MACHINE, Joints, Player, plan_of
 
 LAW = Path(__file__).parents[2] / "data" / "reference" / "law.toml"

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stickslip_fit.capture.emulator.rig import start_emulator
 from stickslip_fit.drive.record import resume_record
 from stickslip_fit.drive.session import DriveJob, drive_real
 from stickslip_fit.units import Z_95
+from tests.capture.emulator_process import start_emulator
 
 pytest.importorskip("serial", reason="pyserial is not installed")
 pytest.importorskip("pty", reason="this system has no pseudo-terminals")
