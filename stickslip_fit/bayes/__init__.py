@@ -1,6 +1,6 @@
 """Hierarchical Bayes: each session's parameters drawn from a campaign's."""
 
-from stickslip_fit.bayes.checks import check_predictive, leave_one_out, predictive_p_values
+from stickslip_fit.bayes.checks import leave_one_out, predictive_p_values
 from stickslip_fit.bayes.estimator import fit_bayes
 from stickslip_fit.bayes.posterior import Posterior, load_posterior
 from stickslip_fit.bayes.priors import Prior, Priors, weak_prior, weak_priors
@@ -9,7 +9,6 @@ __all__ = [
     "Posterior",
     "Prior",
     "Priors",
-    "check_predictive",
     "fit_bayes",
     "leave_one_out",
     "load_posterior",

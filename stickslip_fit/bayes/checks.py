@@ -6,8 +6,6 @@ X.-L. Meng and H. Stern, Statistica Sinica 6:733, 1996).
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 import pandas as pd
 
@@ -15,42 +13,6 @@ from stickslip_fit._format import format_direction
 from stickslip_fit._summary import Section, Table, numbers, words
 from stickslip_fit._typing import Array
 from stickslip_fit.bayes.posterior import Posterior
-from stickslip_fit.bayes.result import INTERVAL_QUANTILES
-
-
-def check_predictive(
-    posterior: Posterior, which: Literal["prior", "posterior"] = "posterior"
-) -> pd.DataFrame:
-    """Each count of the log among the counts that the model predicts.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    which : {"prior", "posterior"}, optional
-        Whether the prior allows for the counts, or the law and the noise describe them.
-
-    Returns
-    -------
-    DataFrame, indexed as the log's usable rows
-        joint, direction, steps as counted; low, median, high of the model's counts (95 %); rank: the share of
-        them below the count, ties halved; and stalled: the share in which the joint comes to a halt.
-    """
-    tables = []
-    for joint, direction in posterior.groups:
-        branch = posterior.group_tree(joint, direction)
-        observed = branch["observed_data"]["steps"]
-        steps = observed.to_numpy()
-        counts = branch[f"{which}_predictive"]["steps"].to_numpy().reshape(-1, steps.size)
-        stalled = np.isnan(counts)
-        counts = np.where(stalled, np.inf, counts)
-        probabilities = (INTERVAL_QUANTILES[0], 0.5, INTERVAL_QUANTILES[1])
-        quantiles = np.quantile(counts, probabilities, axis=0, method="nearest")
-        table = pd.DataFrame({"joint": joint, "direction": direction, "steps": steps})
-        table[["low", "median", "high"]] = quantiles.T
-        table["rank"] = np.mean(counts < steps, axis=0) + 0.5 * np.mean(counts == steps, axis=0)
-        table["stalled"] = stalled.mean(axis=0)
-        tables.append(table.set_index(observed["traverse"].to_numpy()))
-    return pd.concat(tables).sort_index()
 
 
 def predictive_p_values(posterior: Posterior) -> pd.DataFrame:

@@ -4,7 +4,6 @@ from stickslip_fit.simulation.campaign import (
     draw_noise,
     expected_counts,
     simulate,
-    simulate_counts,
     step_through,
 )
 from stickslip_fit.simulation.schedule import ByColumn, Schedule, Since, WithUse
@@ -26,7 +25,6 @@ __all__ = [
     "expected_counts",
     "read_law_values",
     "simulate",
-    "simulate_counts",
     "step_through",
     "true_steps",
 ]

@@ -209,43 +209,6 @@ def expected_counts(law: StepLaw, rows: Rows, values: Array) -> Array:
     return counts
 
 
-def simulate_counts(
-    law: StepLaw,
-    rows: Rows,
-    values: Array,
-    repeatability: npt.ArrayLike,
-    rng: np.random.Generator,
-    kind: NoiseKind = "gaussian",
-) -> Int64Array:
-    """Simulated counts, shape (n,): with noise, rounded up to the next check of the end stop.
-
-    Parameters
-    ----------
-    rows : mapping of str to array, shape (n,)
-        check_every besides what the law needs.
-    values : array, shape (p,) or (n, p)
-    repeatability : float or array, shape (n,)
-        Standard deviation of log(steps).
-    kind : {'gaussian', 't5'}
-
-    Raises
-    ------
-    InputError
-        If the joint stalls within a traverse.
-
-    Examples
-    --------
-    >>> from stickslip_fit.laws import Prismatic
-    >>> row = {"q2": [-np.pi / 2], "theta": [0.0], "psi": [0.0], "start": [0.0], "stop": [0.012]}
-    >>> values = np.array([976e-9, 0.3, 438e-9])
-    >>> simulate_counts(Prismatic(), row | {"check_every": [5]}, values, 0.0, np.random.default_rng(1))
-    array([12300])
-    """
-    counts = expected_counts(law, rows, values)
-    deviation = np.asarray(repeatability, float) * draw_noise(kind, len(counts), rng)
-    return observed_count(counts * np.exp(deviation), rows["check_every"])
-
-
 GROUPS = [(joint, direction) for joint in JOINTS for direction in DIRECTIONS]
 LOG_COLUMNS = (
     *("session", "time", "joint", "direction", "steps", "q1", "q2", "q3", "theta", "psi", "start", "stop"),

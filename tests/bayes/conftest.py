@@ -9,9 +9,15 @@ import pytest
 from stickslip_fit.bayes import Prior
 from stickslip_fit.bayes.priors import build_group_data
 from stickslip_fit.bayes.sampler import memory_backends, sample_posterior
-from stickslip_fit.laws import Base, Elbow, Prismatic, StepLaw
+from stickslip_fit.laws import Base, Elbow, Prismatic, StepLaw, observed_count
 from stickslip_fit.machine import load_machine
-from stickslip_fit.simulation import simulate_counts
+from stickslip_fit.simulation import expected_counts
+
+
+def simulate_counts(law, rows, values, repeatability, rng):
+    """Counts with noise, rounded up to the next check of the end stop."""
+    steps = expected_counts(law, rows, values) * np.exp(repeatability * rng.standard_normal(len(rows)))
+    return observed_count(steps, rows["check_every"])
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from stickslip_fit.bayes import (
-    check_predictive,
     fit_bayes,
     leave_one_out,
     load_posterior,
@@ -117,13 +116,8 @@ def test_a_joint_that_was_not_fitted_is_not_predicted(posterior, log):
 
 
 def test_predictive_checks_pass_for_the_models_own_counts(posterior):
-    table = check_predictive(posterior)
-    assert ((table["low"] <= table["steps"]) & (table["steps"] <= table["high"])).mean() > 0.85
     p_values = predictive_p_values(posterior)[["spread", "extreme", "memory"]]
     assert p_values.stack().between(0.005, 0.995).all()
-    prior = check_predictive(posterior, "prior")
-    assert prior["rank"].between(0.05, 0.95).all()
-    assert (prior["high"] > 2 * prior["low"]).all()
 
 
 def test_predictive_checks_find_noise_that_remembers(campaign, read_table):

@@ -10,7 +10,7 @@ from stickslip_fit.bayes.priors import build_group_data, predict_log_steps
 from stickslip_fit.estimation.least_squares import fit_joint
 from stickslip_fit.laws import BaseAtOneReach, Prismatic
 from stickslip_fit.machine import load_machine
-from stickslip_fit.simulation import simulate_counts
+from tests.bayes.conftest import simulate_counts
 
 REPEATABILITY, CAMPAIGNS, DAYS = 0.003, 8, 8
 MACHINE = load_machine()

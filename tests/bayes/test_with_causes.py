@@ -16,7 +16,7 @@ from stickslip_fit.bayes.sampler import memory_backends
 from stickslip_fit.causes import EndStopLatency, ExtendedLaw, ThermalWarmUp
 from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.estimation.with_causes import FixedCauseLaw
-from stickslip_fit.simulation import simulate_counts
+from tests.bayes.conftest import simulate_counts
 
 CAUSES = (ThermalWarmUp(), EndStopLatency())
 PRIORS = CausePriors(

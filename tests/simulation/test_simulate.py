@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.errors import InputError
-from stickslip_fit.laws import Prismatic, expected_steps
+from stickslip_fit.laws import expected_steps
 from stickslip_fit.logs import read_log, write_log
-from stickslip_fit.simulation import LawValues, draw_noise, simulate, simulate_counts
+from stickslip_fit.simulation import LawValues, simulate
 
 # Steps of joint 3 by hand: 12 mm over a, and over (1 - b) (a - c).
 LEVEL, UPRIGHT = 0.012 / 976e-9, 0.012 / (0.7 * (976e-9 - 438e-9))
@@ -142,18 +142,3 @@ class TestFaults:
         own = '[[law]]\njoint = 3\ndirection = "+"\nsession = "2012-03-06"\na_nm = 400\nb = 0\nc_nm = 438\n'
         with pytest.raises(InputError, match=r"joint 3 comes to a halt .* q2 = 0, theta = 0, psi = 0"):
             rows_of(0, own)
-
-
-def test_studies_can_draw_counts_of_one_law(rows_of):
-    rows = rows_of(repeatability=0, check_every=1, replicates=100, dates="2012-03-05")
-    forward = rows[rows["direction"] == "+"]
-    values = np.array([976e-9, 0.3, 438e-9])
-
-    def draw(repeatability, seed):
-        return simulate_counts(Prismatic(), forward, values, repeatability, np.random.default_rng(seed), "t5")
-
-    assert (draw(0.0, 1) == forward["steps"]).all()
-    noise = draw_noise("t5", len(forward), np.random.default_rng(7))
-    exact = np.where(forward["q2"] < -1, LEVEL, UPRIGHT)
-    uneven = np.linspace(0.001, 0.01, len(forward))
-    assert np.abs(draw(uneven, 7) - exact * np.exp(uneven * noise)).max() <= 0.5
