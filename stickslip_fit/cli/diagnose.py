@@ -136,12 +136,12 @@ def suggest_table_command(path: Path, sheet: str | None) -> list[InputIssue]:
 
 def suggest_next(diagnosis: Diagnosis, log: list[Path]) -> str:
     """The command that goes on from a diagnosis."""
-    from stickslip_fit.diagnosis._unknown_summary import find_extending
+    from stickslip_fit.diagnosis.misfit import UNKNOWN
 
     name = shlex.join(map(str, log))
     if any(finding.equivalent for finding in diagnosis.findings):
         return f"To separate the causes: stickslip-fit plan {name}"
-    if find_extending(diagnosis.findings):
+    if any(one.version is not None or one.cause != UNKNOWN for one in diagnosis.findings):
         return f"To save the extended law: stickslip-fit diagnose {name} --save-law law.json"
     if diagnosis.verdict == "nothing wrong":
         return f"To save the law as it is: stickslip-fit fit {name} --json fit.json"

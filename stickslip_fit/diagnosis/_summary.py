@@ -30,7 +30,7 @@ from stickslip_fit.causes import SizedParameter
 from stickslip_fit.diagnosis._log_words import LogWords
 from stickslip_fit.diagnosis._stage_summary import stage_sections
 from stickslip_fit.diagnosis._table_words import TableWords
-from stickslip_fit.diagnosis._unknown_summary import caption_parameters, explains_tables, name_findings
+from stickslip_fit.diagnosis._unknown_summary import explains_tables, name_findings
 from stickslip_fit.diagnosis._words import Words, baseline_name, describe_proposals
 from stickslip_fit.diagnosis.experiments import find_inseparable_pairs
 from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, Finding, Gain, NextTraverse, TableInfo, shown_size
@@ -174,7 +174,7 @@ def _parameter_tables(diagnosis: Diagnosis) -> list[Table]:
         if hasattr(finding.version, "beside")
     ]
     note = " ".join(notes)
-    caption = caption_parameters(findings)
+    caption = f"Parameters of what was named{' or proposed' if proposed else ''}"
     return [_without_empty(caption, columns, rows[:MAX_PARAMETERS], "of", stubs=2, note=note)] if rows else []
 
 

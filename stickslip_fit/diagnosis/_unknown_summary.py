@@ -24,7 +24,6 @@ from stickslip_fit._format import (
     join_words,
 )
 from stickslip_fit._summary import Column, Table, numbers
-from stickslip_fit.causes import SizedParameter
 from stickslip_fit.causes.proposed import PAUSES
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, closest_cause
 from stickslip_fit.diagnosis.misfit import UNKNOWN
@@ -110,17 +109,6 @@ def name_carrier(carrier: str) -> str:
     return re.sub(r"^product of", "the product of", text)
 
 
-def caption_parameters(findings: Sequence[Finding]) -> str:
-    """The caption of a table of parameters."""
-    proposed = any(one.cause == UNKNOWN and one.term for one in findings)
-    return f"Parameters of what was named{' or proposed' if proposed else ''}"
-
-
-def find_extending(findings: Sequence[Finding]) -> list[Finding]:
-    """The findings that extend the law: named causes, and proposals for what has no name."""
-    return [one for one in findings if one.version is not None or one.cause != UNKNOWN]
-
-
 def name_finding(finding: Finding) -> str:
     """A finding as a table calls it; a proposal is called one."""
     if finding.cause != UNKNOWN or finding.version is None:
@@ -143,10 +131,8 @@ def describe_proposal(finding: Finding) -> str:
     """What is put into the law for structure without a name, without a full stop."""
     steps, worth = _name_steps(finding), _describe_worth(finding)
     if not finding.term and hasattr(finding.version, "period"):
-        return (
-            f"{steps} {_describe_period(finding)}, which no known cause does; a wave for each session is "
-            f"proposed; {worth}"
-        )
+        period = describe_carrier(finding.carrier).replace("comes and goes", "come and go")
+        return f"{steps} {period}, which no known cause does; a wave for each session is proposed; {worth}"
     if not finding.term:
         what = "both" if len(getattr(finding.version, "carriers", ())) > 1 else "it"
         each = " for each session" if getattr(finding.version, "sessions", ()) else ""
@@ -155,7 +141,8 @@ def describe_proposal(finding: Finding) -> str:
             f"a smooth function of {what}{each} is proposed; {worth}"
         )
     sizes = [
-        f"{one.name} = {format_uncertain(one.size.estimate, _standard_error(one), one.unit)}"
+        f"{one.name} = "
+        f"{format_uncertain(one.size.estimate, (one.size.high - one.size.low) / (2 * Z_95), one.unit)}"
         for one in finding.parameters
     ]
     what = ", ".join([f"a term is proposed: {finding.term}", *sizes])
@@ -163,11 +150,6 @@ def describe_proposal(finding: Finding) -> str:
         steps = f"{steps[0].lower()}{steps[1:]}"
         return f"What {steps} depart by {describe_carrier(finding.carrier)}; {what}; {worth}"
     return f"{steps} follow something that no known cause describes; {what}; {worth}"
-
-
-def _describe_period(finding: Finding) -> str:
-    """How steps come and go, for their plural."""
-    return describe_carrier(finding.carrier).replace("comes and goes", "come and go")
 
 
 def name_carriers(finding: Finding) -> str:
@@ -182,10 +164,6 @@ def name_carriers(finding: Finding) -> str:
         f", {partly}differently in each session," if getattr(finding.version, "sessions", ()) else ""
     )
     return f"{words}{together}{ways}{in_sessions}".replace(",,", ",")
-
-
-def _standard_error(parameter: SizedParameter) -> float:
-    return (parameter.size.high - parameter.size.low) / (2 * Z_95)
 
 
 def _name_steps(finding: Finding) -> str:

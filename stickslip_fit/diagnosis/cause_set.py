@@ -98,9 +98,9 @@ def limit_evidence(ahead: float, likelier: Array, other: Array, session: IntArra
     return min(ahead, float(log_ndtr(z) - log_ndtr(-z)))
 
 
-def cause_probabilities(evidence: dict[str, float], null: float = PRIOR_NULL) -> dict[str, float]:
-    """Posterior of each cause if at most one is at work; `null` is the prior probability of none."""
-    prior = (1.0 - null) / max(len(evidence), 1)
-    logs = np.array([*evidence.values(), 0.0]) + np.log([prior] * len(evidence) + [null])
+def cause_probabilities(evidence: dict[str, float]) -> dict[str, float]:
+    """Posterior of each cause if at most one is at work."""
+    prior = (1.0 - PRIOR_NULL) / max(len(evidence), 1)
+    logs = np.array([*evidence.values(), 0.0]) + np.log([prior] * len(evidence) + [PRIOR_NULL])
     weights = np.exp(logs - logs.max())
     return dict(zip(evidence, map(float, (weights / weights.sum())[:-1]), strict=True))

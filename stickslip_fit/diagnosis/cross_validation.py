@@ -72,7 +72,6 @@ def make_folds(
     kinds: IntArray,
     rng: np.random.Generator,
     effects: Array | None = None,
-    number: int = N_FOLDS,
     needed: Collection[int] = (),
 ) -> list[Split]:
     """Hold out every configuration once, except those without which a parameter is not determined.
@@ -86,8 +85,6 @@ def make_folds(
     rng : Generator
     effects : array, shape (n, k), optional
         Of the selected causes, whitened and projected; these must stay determined, too.
-    number : int, optional
-        Of folds; folds in which nothing can be held out are left out.
     needed : collection of int, optional
         Kinds that are not held out.
     """
@@ -95,14 +92,14 @@ def make_folds(
     block, coordinates = number_blocks(linearized.parts, n), _coordinates(linearized)
     effects = np.zeros((n, 0)) if effects is None else effects
     n_blocks, width = int(block.max()) + 1, coordinates.shape[1]
-    folds = [_FoldInformation.empty(n_blocks, width, effects) for _ in range(number)]
+    folds = [_FoldInformation.empty(n_blocks, width, effects) for _ in range(N_FOLDS)]
     sums = _KindInformation.of(kinds, block, coordinates, effects)
 
     def try_add(fold: int, rows: IntArray) -> bool:
         kind = int(kinds[rows[0]])
         return kind not in needed and folds[fold].try_add(sums[kind])
 
-    return deal_kinds(kinds, number, try_add, rng)
+    return deal_kinds(kinds, N_FOLDS, try_add, rng)
 
 
 def deal_kinds(

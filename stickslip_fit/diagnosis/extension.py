@@ -240,7 +240,8 @@ def linearize_with_causes(
 ) -> LinearizedFit:
     """A fit with causes in its laws, linearized; other forms that the causes may have count as known."""
     plain = problem.linearize_extended(fit)
-    forms = [form for one in causes for form in _other_forms(plain, one)]
+    # What is no evidence of another cause beside a selected one.
+    forms = [form(plain, one) for one in causes for form in (alternative_forms, open_changes)]
     return plain.absorb(np.concatenate(forms, axis=1)) if forms else plain
 
 
@@ -394,20 +395,14 @@ def alternative_forms(linearized: LinearizedFit, selected: SelectedCause) -> Arr
 
     These are its other shapes, and the square and the cube of its own effect, for a nonlinear dependence.
     """
-    misfit = selected.test
     effect = compute_changes(linearized, selected.version, selected.start[None])
     powers = linearized.whiten(np.concatenate([effect**2, effect**3], axis=1))
     length = np.linalg.norm(powers, axis=0)
-    shapes = _other_shapes(linearized, selected, misfit)
+    shapes = _other_shapes(linearized, selected)
     shapes = [one[:, :: -(-one.shape[1] // MAX_SHAPES)] for one in shapes if one.shape[1]]
     columns = np.concatenate([*shapes, powers / np.where(length > 0, length, 1.0)], axis=1)
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return left[:, singular**2 > MIN_FORM_SHARE * np.sum(singular**2)][:, :MAX_FORMS]
-
-
-def _other_forms(linearized: LinearizedFit, selected: SelectedCause) -> tuple[Array, Array]:
-    """What is no evidence of another cause beside a selected one; each shape (n, m)."""
-    return alternative_forms(linearized, selected), open_changes(linearized, selected)
 
 
 def open_changes(linearized: LinearizedFit, selected: SelectedCause) -> Array:
@@ -416,12 +411,12 @@ def open_changes(linearized: LinearizedFit, selected: SelectedCause) -> Array:
     The differences from its effect with lambda well within either regime, of each joint and direction by
     itself: those may differ in what they are.
     """
-    version, misfit = selected.version, selected.test
+    version = selected.version
     if not isinstance(version, StageCause):
         return np.zeros((len(linearized), 0))
     others = dict.fromkeys(
         one.version
-        for one in misfit.hypotheses
+        for one in selected.test.hypotheses
         if isinstance(one.version, StageCause) and replace(one.version, assumed=version.assumed) == version
     )
     own = compute_changes(linearized, version, selected.start[None])
@@ -439,12 +434,12 @@ def open_changes(linearized: LinearizedFit, selected: SelectedCause) -> Array:
     return left[:, singular > MIN_OPEN]
 
 
-def _other_shapes(linearized: LinearizedFit, selected: SelectedCause, misfit: Misfit) -> list[Array]:
+def _other_shapes(linearized: LinearizedFit, selected: SelectedCause) -> list[Array]:
     """Directions of all shapes of a selected cause's version; each shape (n, m)."""
     if linearized.noise_filter is None:
         return [
             one.directions
-            for one in misfit.hypotheses
+            for one in selected.test.hypotheses
             if isinstance(one, Hypothesis) and one.cause == selected.cause and one.version == selected.version
         ]
     # The directions of the test are whitened by the filter that the noise had then.

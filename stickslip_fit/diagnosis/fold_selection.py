@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -127,7 +126,7 @@ class Looks:
         own = evidence[cause]
         least = own - max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
         close = [one for one in evidence if one != cause and evidence[one] >= least]
-        version, before = (_best_version(test, cause) for test in (without, whole))
+        version, before = (test.best_hypothesis(cause).version for test in (without, whole))
         # Effects that are linear in all parameters need no refit to be compared, unless another form may take
         # over a part of another cause.
         linear = all(getattr(one, "combine_trials", False) for one in (version, before))
@@ -216,7 +215,3 @@ def prepare_looks(selection: Selection, alpha: float) -> Looks | None:
     dropped = first is not None and first.residual is not selection.first_misfit.residual
     simple = independent and whole and not (forced or dropped)
     return Looks(selection, alpha) if possible and simple else None
-
-
-def _best_version(misfit: Misfit, cause: str) -> Any:
-    return misfit.best_hypothesis(cause).version

@@ -8,7 +8,7 @@ the other's.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,6 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes import Cause
 from stickslip_fit.diagnosis.evidence import group_directions
 from stickslip_fit.diagnosis.extension import assess_residuals
 from stickslip_fit.diagnosis.hypotheses import (
@@ -304,7 +303,7 @@ def separability_to_json(matrix: SeparabilityMatrix, strength: float) -> dict[st
 
 
 def problem_from_plan(
-    plan: Plan, truth: LawValues, machine: Machine, causes: Iterable[Cause] | None = None
+    plan: Plan, truth: LawValues, machine: Machine
 ) -> tuple[DiagnosisProblem, dict[str, str]]:
     """A plan as a problem: its traverses, with their history, as a simulation makes them.
 
@@ -324,7 +323,7 @@ def problem_from_plan(
 
     log = simulate(plan, truth, machine)
     assert plan.noise is not None
-    problem, missing = problem_from_log(log, causes)
+    problem, missing = problem_from_log(log)
     drives = [(part.law.joint, direction) for part in problem.parts for direction in "+-"]
     repeatability = [plan.noise.repeatability.get(drive, np.nan) for drive in drives]
     problem = replace(problem, repeatability=np.array(repeatability))

@@ -110,8 +110,8 @@ class RatioProfile:
         high = np.inf if last == len(self.ratios) - 1 else float(np.mean(self.ratios[[last, last + 1]]))
         return low, high
 
-    def share_interval(self, level: float = 0.95, spread: float = 0.0) -> tuple[float, float, float]:
-        """Mean of r, and its interval with lambda's uncertainty; `spread` is that of the model, relative."""
+    def share_interval(self, spread: float) -> tuple[float, float, float]:
+        """Mean of r, and its 95 % interval with lambda's uncertainty; `spread` is the model's, relative."""
         from scipy.special import ndtr
 
         error = np.hypot(self.share_error, spread * self.share)
@@ -121,7 +121,7 @@ class RatioProfile:
         mean, error, weight = self.share[use], error[use], self.probability[use] / self.probability[use].sum()
         grid = np.linspace(-1.0, 1.0, 8001)
         total = weight @ ndtr((grid - mean[:, None]) / error[:, None])
-        low, high = np.interp([(1 - level) / 2, (1 + level) / 2], total, grid)
+        low, high = np.interp([0.025, 0.975], total, grid)
         return float(weight @ mean), float(low), float(high)
 
 

@@ -253,9 +253,9 @@ def robust_limit(sizes: Array, quantile: float, zoom: float, margin: float = 1.0
     return margin * min(float(sizes.max()), zoom * float(np.quantile(sizes, quantile)))
 
 
-def _elide(name: str, width: int = 12) -> str:
+def _elide(name: str) -> str:
     """A name without its middle, as sessions differ by their ends."""
-    return name if len(name) <= width else f"{name[: width // 2 - 1]}…{name[-width // 2 :]}"
+    return name if len(name) <= 12 else f"{name[:5]}…{name[-6:]}"
 
 
 def label_sessions(axes: Axes, sessions: Sequence[str], *, vertical: bool = True) -> None:

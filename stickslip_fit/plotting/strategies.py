@@ -56,15 +56,15 @@ def pareto_picture(comparison: Comparison) -> Picture:
     return make_picture("pareto", title, caption, plot_pareto(comparison))
 
 
-def plot_pareto(comparison: Comparison, joints: Sequence[int] | None = None) -> Figure:
-    """A panel for each joint, of all where none is given; each with a scale of its own.
+def plot_pareto(comparison: Comparison) -> Figure:
+    """A panel for each joint, with a scale of its own.
 
     Raises
     ------
     InputError
         If no session is shared.
     """
-    joints = comparison.joints if joints is None else joints
+    joints = comparison.joints
     if not joints:
         raise InputError("there is nothing to draw: no session is left in which the strategies are compared")
     cost = comparison.cost()

@@ -11,7 +11,6 @@ import numpy as np
 from stickslip_fit._typing import Array
 from stickslip_fit.step.stage import (
     GRAVITY,
-    Contact,
     Stage,
     StepSweep,
     StepTrace,
@@ -135,7 +134,7 @@ def analyse_stage(stage: Stage, *, progress: Callable[[str, float], None] | None
     below, above = sweeps[0].steps[[0, -1]]
     odd = (above - below) / 2
     hysteresis = stage.drive.hysteresis
-    rigid = replace(stage, contact=_without_bristles(stage.contact), foot=None, base=None)
+    rigid = replace(stage, contact=replace(stage.contact, model="coulomb"), foot=None, base=None)
     return StageAnalysis(
         stage=stage,
         step=step,
@@ -148,10 +147,6 @@ def analyse_stage(stage: Stage, *, progress: Callable[[str, float], None] | None
         linear_step=replace(stage, drive=stage.drive.without_hysteresis()).step() if hysteresis else step,
         in_use=tuple((count, step_or_nan(stage.after(count))) for count in USE if stage.drift is not None),
     )
-
-
-def _without_bristles(contact: Contact) -> Contact:
-    return replace(contact, model="coulomb")
 
 
 def _refine(points: Array, finer: int) -> Array:
