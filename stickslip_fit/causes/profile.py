@@ -43,10 +43,8 @@ class AlongTravel(LinearFactor):
     ----------
     travel : tuple of (int, float, float)
         Joints that it acts on, with the lowest and the highest position of their traverses.
-    by_direction : bool
-        Whether each direction has a function of its own.
-    only : {"", "+", "-"}
-        The one direction in which it acts; empty for both.
+    directions : tuple of str
+        Those with a function of their own: both, or the one in which it acts. Empty for one that both share.
     shape : tuple of float
         Prior standard deviations of the cosines' coefficients for a function of rms 1.
     amplitude : float or None
@@ -55,8 +53,7 @@ class AlongTravel(LinearFactor):
     """
 
     travel: tuple[tuple[int, float, float], ...] = NOMINAL_TRAVEL
-    by_direction: bool = False
-    only: str = ""
+    directions: tuple[str, ...] = ()
     shape: tuple[float, ...] = tuple(prior_sds(LENGTHS[1]).tolist())
     amplitude: float | None = None
 
@@ -75,8 +72,7 @@ class AlongTravel(LinearFactor):
     @cached_property
     def groups(self) -> tuple[tuple[int, str | None], ...]:
         """Joint and direction of each function; None for both directions."""
-        directions = ("+", "-") if self.by_direction else (self.only or None,)
-        return tuple((joint, direction) for joint, _, _ in self.travel for direction in directions)
+        return tuple((joint, way) for joint, _, _ in self.travel for way in self.directions or (None,))
 
     @cached_property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
@@ -126,13 +122,13 @@ class AlongTravel(LinearFactor):
         versions = [self]
         if self.amplitude is None:
             joints = [(one,) for one in self.travel] + ([self.travel] if len(self.travel) > 1 else [])
-            directions = (False, True) if rows["direction"].nunique() > 1 and not self.only else (False,)
+            ways = [(), ("+", "-")] if rows["direction"].nunique() > 1 else [()]
             shapes = [*(prior_sds(length) for length in LENGTHS), rough_prior_sds()]
             versions = [
-                replace(self, travel=travel, by_direction=each, shape=tuple(shape.tolist()))
+                replace(self, travel=travel, directions=each, shape=tuple(shape.tolist()))
                 for shape in shapes
                 for travel in joints
-                for each in directions
+                for each in ([self.directions] if self.is_restricted else ways)
             ]
         return [(version, np.diag(version.scale)) for version in versions]
 
@@ -145,13 +141,13 @@ class AlongTravel(LinearFactor):
         for way, own in by_direction.items():
             shown = {joint for joint, _, _ in _find_travel(own)}
             if travel := tuple(one for one in self.travel if one[0] in shown):
-                found.append(replace(self, travel=travel, only=str(way)))
+                found.append(replace(self, travel=travel, directions=(str(way),)))
         return found
 
     @property
     def is_restricted(self) -> bool:
         """See `Cause.is_restricted`."""
-        return bool(self.only)
+        return len(self.directions) == 1
 
     def largest_plausible(self) -> tuple[Array, ...]:
         """See `Cause.largest_plausible`: each cosine alone."""
@@ -198,9 +194,9 @@ class AlongTravel(LinearFactor):
 
     @property
     def _ending(self) -> str:
-        if self.only:
-            return f", in direction {format_direction(self.only)} only"
-        return ", differently in the two directions" if self.by_direction else ""
+        if self.is_restricted:
+            return f", in direction {format_direction(self.directions[0])} only"
+        return ", differently in the two directions" if self.directions else ""
 
     def _acts_on(self, joint: int, sign: Array) -> Array:
         """1 for the traverses of a joint in a group's direction, whose sign has shape (n, 1); (n, groups)."""

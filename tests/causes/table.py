@@ -228,7 +228,7 @@ CASES = (
         ((0.02, -0.01, 0.03, 0.01, -0.02, 0.04), (0.1, 0.1, 0.0, -0.2, 0.15, 0.0)),
     ),
     Case(
-        AlongTravel(travel=TRAVEL[1:], by_direction=True, shape=(1.0,), amplitude=3.0),
+        AlongTravel(travel=TRAVEL[1:], directions=("+", "-"), shape=(1.0,), amplitude=3.0),
         Effect(
             factor=lambda s, a, b, c, d: (
                 1 + profile(s, [by_way(s, a, b), by_way(s, c, d)][s.joint - 2 :][:1]) if s.joint > 1 else 1

@@ -70,7 +70,7 @@ def test_a_fit_finds_length_and_amplitude_by_itself_and_is_constant_beyond_the_t
     fit = result.joints[1]
     (cause,) = fit.law.causes
     assert cause.amplitude is not None
-    assert not cause.by_direction
+    assert not cause.directions
     position = np.radians(np.array([[10.0, 50.0, 80.0, 100.0, 140.0, 170.0]]))
     row = {"start": np.zeros(1), "stop": np.ones(1)} | {name: np.zeros(1) for name in fit.law.columns}
     step = fit.law.step_size(row, position, fit.values[:1])[0]
