@@ -30,11 +30,11 @@ from stickslip_fit.plotting._style import (
     set_log_axis,
 )
 from stickslip_fit.plotting._svg import Picture, make_picture
-from stickslip_fit.units import JOINTS, from_si
+from stickslip_fit.units import from_si
 
 if TYPE_CHECKING:
     from stickslip_fit.capture.tuning import Tuning
-    from stickslip_fit.strategies import Comparison, TipErrors
+    from stickslip_fit.strategies import Comparison
     from stickslip_fit.studies import SimulationStudy
 
 STRATEGY_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE)
@@ -133,74 +133,6 @@ def _choose_markers(names: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Colour and marker of each strategy."""
     styles = cycle([(colour, marker) for marker in MARKERS for colour in STRATEGY_COLOURS])
     return dict(zip(names, styles, strict=False))
-
-
-JOINT_COLOURS = dict(zip(JOINTS, (VERMILLION, GREEN, PURPLE), strict=True))
-BOX_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-TIP_LINE_HEIGHT = 0.19  # inches a strategy
-MIN_LENGTH = 1e-8  # m; smaller errors are drawn there
-
-
-def plot_tip_errors(tip_errors: TipErrors) -> Figure:
-    """A line for each strategy: errors on the left, shares of the joints on the right.
-
-    Raises
-    ------
-    InputError
-        If no strategy moved the tip.
-    """
-    summary = tip_errors.distribution().dropna(subset="rms")
-    if summary.empty:
-        raise InputError("there is nothing to draw: no strategy calibrates every joint that is driven")
-    names = [shorten(str(name), MAX_NAME_LENGTH) for name in summary["strategy"]]
-    with report_style():
-        legend = [
-            make_legend_entry("median", BLUE, "o"),
-            make_legend_entry("half of the moves", BLUE, line="-", width=4.0),
-            make_legend_entry("nine in ten", BLUE, line="-", width=1.0),
-            make_legend_entry("worst", BLUE, "x"),
-            *(
-                make_legend_entry(f"joint {joint}", colour, line="-", width=6.0)
-                for joint, colour in JOINT_COLOURS.items()
-            ),
-        ]
-        height, left = TIP_LINE_HEIGHT * len(names) + 0.1, 0.2 + LETTER_WIDTH * max(map(len, names))
-        figure, axes = make_figure(
-            [height], 2, legend, left=left, right=0.2, top=0.08, bottom=0.45, share_x=False
-        )
-        errors, shares = axes[0]
-        _draw_errors(errors, tip_errors.table, list(summary["strategy"]))
-        _draw_shares(shares, summary)
-        errors.set_yticks(range(len(names)), names)
-        errors.set_ylim(len(names) - 0.4, -0.6)
-        for axis in (errors, shares):
-            axis.grid(visible=False, axis="y")
-            axis.tick_params(axis="y", length=0)
-    return figure
-
-
-def _draw_errors(axis: Axes, table: pd.DataFrame, strategies: list[str]) -> None:
-    for place, name in enumerate(strategies):
-        size = table.loc[table["strategy"] == name, "size"].dropna().to_numpy()
-        low, early, middle, late, high = from_si(
-            np.maximum(np.quantile(size, BOX_QUANTILES), MIN_LENGTH), "µm"
-        )
-        axis.hlines(place, low, high, color=BLUE, lw=1.0)
-        axis.hlines(place, early, late, color=BLUE, lw=4.0)
-        axis.plot(middle, place, ls="", marker="o", ms=4.0, color=BLUE, mec="white", mew=0.6, zorder=3)
-        axis.plot(from_si(max(size.max(), MIN_LENGTH), "µm"), place, ls="", marker="x", color=BLUE)
-    set_log_axis(axis.xaxis)
-    axis.set_xlabel("tip from where it should be (µm)", color=INK)
-
-
-def _draw_shares(axis: Axes, summary: pd.DataFrame) -> None:
-    places, before = np.arange(len(summary)), np.zeros(len(summary))
-    for joint, colour in JOINT_COLOURS.items():
-        share = 100 * summary[f"share_{joint}"].to_numpy(float)
-        axis.barh(places, share, left=before, height=0.55, color=colour, lw=0)
-        before = before + share
-    axis.set_xlim(0, 100)
-    axis.set_xlabel("share in the mean square (%)", color=INK)
 
 
 FAINT_COLOUR = "#b0b0b0"

@@ -15,7 +15,6 @@ import pandas as pd
 from stickslip_fit._format import format_number
 from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers
 from stickslip_fit._typing import Array
-from stickslip_fit.estimation.result import AxesArray
 from stickslip_fit.logs.plan import NoiseKind
 from stickslip_fit.machine import forward, jacobian
 from stickslip_fit.moves import StepModel, TipPaths, TrueLaws, plan_steps, simulate_open_loop
@@ -65,19 +64,6 @@ class TipErrors(Summarized):
         )
         table = Table("Distance from where each move was to end", columns, rows)
         return Summary("Tip errors", sections=(Section(tables=(table,)),))
-
-    def plot_tip_errors(self) -> AxesArray:
-        """The distribution of each strategy's errors, and what each joint has in it.
-
-        Raises
-        ------
-        InputError
-            If no strategy moved the tip.
-        """
-        from stickslip_fit.plotting._style import collect_axes
-        from stickslip_fit.plotting.strategies import plot_tip_errors
-
-        return collect_axes(plot_tip_errors(self))
 
     def distribution(self, *by: str) -> pd.DataFrame:
         """The distribution of each strategy's errors.

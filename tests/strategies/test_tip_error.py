@@ -135,27 +135,12 @@ def test_what_is_summed_up_is_what_the_errors_are():
         compute_tip_errors(paths, truth, {"lame": {g: of for g, of in some.items() if g != (2, "+")}}, [1, 2])
 
 
-def test_the_picture_has_every_strategys_errors_and_joints():
+def test_a_strategy_without_steps_for_a_move_is_told():
     paths, truth = draw_random_paths(MACHINE, 60, seed=7), TrueLaws(("a",), LAWS, VALUES)
     lost = dict.fromkeys(VALUES, lambda rows: np.full(len(rows), np.nan))
-    named = {"<b>right</b>": step_models_from_truth(truth), "lost": lost, "wrong": off_by(VALUES, 3, 0.05)}
-    found = compute_tip_errors(paths, truth, named, [1])
-    errors, shares = found.plot_tip_errors()
-    assert [label.get_text() for label in errors.get_yticklabels()] == ["<b>right</b>", "wrong"]
-    summary = found.distribution().dropna(subset="rms")
-    dots, crosses = ([line for line in errors.lines if line.get_marker() == mark] for mark in "ox")
-    assert [dot.get_xdata()[0] for dot in dots] == pytest.approx(summary["median"] * 1e6)
-    assert [cross.get_xdata()[0] for cross in crosses] == pytest.approx(summary["worst"] * 1e6)
-    lines = np.array([path.vertices[:, 0] for lines in errors.collections for path in lines.get_paths()])
-    size = found.table.loc[found.table["strategy"] == "wrong", "size"] * 1e6
-    assert lines[2:].ravel() == pytest.approx(np.quantile(size, [0.05, 0.95, 0.25, 0.75]))
-    wide = [bar.get_width() for bars in shares.containers for bar in bars]
-    assert wide == pytest.approx(100 * summary[["share_1", "share_2", "share_3"]].to_numpy().T.ravel())
+    found = compute_tip_errors(paths, truth, {"right": step_models_from_truth(truth), "lost": lost}, [1])
     (line,) = (line for line in str(found).splitlines() if line.startswith("lost"))
     assert line.split() == ["lost", "60", "60", *["–"] * 8]
-    nothing = compute_tip_errors(paths, truth, {"lost": lost}, [1])
-    with pytest.raises(InputError, match="nothing to draw"):
-        nothing.plot_tip_errors()
 
 
 def test_strategies_calibrated_on_a_log_move_the_tip(log):
