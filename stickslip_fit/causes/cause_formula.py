@@ -175,27 +175,20 @@ class CauseFormula:
             own = {"function": self.effect.importable_name(), "acts": self.acts}
         else:
             own = {"formula": self.text}
-        parameters = [
-            {"name": one.name, "unit": str(one.unit), "meaning": one.meaning} | _finite_bounds(one)
-            for one in self.declared
-        ]
-        words = {key: getattr(self, key) for key in ("phrase", "physics", "sentence", "remedy", "shows_best")}
+        bounds = [{"lower": one.lower, "upper": one.upper} for one in self.declared]
         return {
-            **{
-                "name": self.name,
-                **own,
-                "parameters": parameters,
-                "by": self.by,
-                "joints": list(self.joints),
-            },
+            "name": self.name,
+            **own,
+            "parameters": [
+                {"name": one.name, "unit": str(one.unit), "meaning": one.meaning}
+                | {key: end for key, end in ends.items() if isfinite(end)}
+                for one, ends in zip(self.declared, bounds, strict=True)
+            ],
+            "by": self.by,
+            "joints": list(self.joints),
             "size": dict(self.size) if isinstance(self.size, Mapping) else self.size,
-            **words,
+            **{key: getattr(self, key) for key in ("phrase", "physics", "sentence", "remedy", "shows_best")},
         }
-
-
-def _finite_bounds(parameter: CauseParameter) -> dict[str, float]:
-    ends = {"lower": parameter.lower, "upper": parameter.upper}
-    return {name: end for name, end in ends.items() if isfinite(end)}
 
 
 def _are_bounds(pair: Any) -> bool:

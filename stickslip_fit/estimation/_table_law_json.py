@@ -47,7 +47,7 @@ def describe_table_law(law: Any) -> dict[str, Any]:
 
 def restore_table_law(content: Mapping[str, Any], functions: Functions) -> Any:
     """The law that `describe_table_law` described."""
-    source = _restore_source(restore_formula_law, content["source"], functions)
+    source = restore_formula_law(content["source"], functions)
     law = TableLaw(
         source=source,
         left=parse_expression(content["response"]),
@@ -98,7 +98,7 @@ def _restore_cause(content: Mapping[str, Any], functions: Functions, law: TableL
     kind = own.pop("kind")
     if kind == "formula":
         parameters = tuple(_restore_parameter(CauseParameter, one) for one in own.pop("parameters"))
-        source = _restore_source(restore_formula_cause, own.pop("source"), functions)
+        source = restore_formula_cause(own.pop("source"), functions)
         listed = {name: tuple(values) for name, values in own.items()}
         return FormulaTableCause(source=source, parameters=parameters, **listed)
     restored = next((vars(module)[kind] for module in _MODULES.values() if kind in vars(module)), None)
@@ -113,14 +113,6 @@ def _restore_cause(content: Mapping[str, Any], functions: Functions, law: TableL
 def _as_tuples(value: Any) -> Any:
     """Lists, and lists in lists, as tuples."""
     return tuple(map(_as_tuples, value)) if isinstance(value, list) else value
-
-
-def _restore_source(restore: Any, description: Mapping[str, Any], functions: Functions) -> Any:
-    """A Law or a FormulaCause from its own description, functions taken from those handed over."""
-    own = dict(description)
-    if "function" in own:
-        own["formula"] = functions[own.pop("function")]
-    return restore(own)
 
 
 def list_functions(law: Mapping[str, Any]) -> list[str]:

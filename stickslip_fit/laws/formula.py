@@ -80,7 +80,11 @@ class Law:
             if not isinstance(getattr(self, key), Mapping):
                 raise InputError(f"{key} of a law is a table of names such as {{'a': ...}}")
         issues = [
-            *_check_numbers("start", self.start, lambda value: isfinite(value)),
+            *(
+                InputIssue(f"start of {name} must be a finite number, not {shorten(repr(value))}")
+                for name, value in self.start.items()
+                if not (isinstance(value, Real) and not isinstance(value, bool) and isfinite(value))
+            ),
             *(issue for name, pair in self.bounds.items() for issue in _check_bounds(name, pair)),
         ]
         if issues:
@@ -275,16 +279,6 @@ def _quote(name: str) -> Expression:
     if name.isidentifier():
         return parse_expression(name)
     return parse_expression(name if "(" in name else f'Q("{name}")')
-
-
-def _check_numbers(
-    key: str, values: Mapping[str, Any] | None, is_good: Callable[[Any], bool]
-) -> list[InputIssue]:
-    return [
-        InputIssue(f"{key} of {name} must be a finite number, not {shorten(repr(value))}")
-        for name, value in (values or {}).items()
-        if not (isinstance(value, Real) and not isinstance(value, bool) and is_good(value))
-    ]
 
 
 def _check_bounds(name: str, pair: Any) -> list[InputIssue]:

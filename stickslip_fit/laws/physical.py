@@ -281,12 +281,17 @@ class PhysicalRotary(Physical):
     published : Rotary
     """
 
-    published: Rotary
     max_panel = 0.6
 
-    @abstractmethod
+    def __init__(self, machine: Machine, ratios: Ratios, published: Rotary) -> None:
+        self.machine = machine
+        self.ratios = ratios
+        self.parameters = _with_trace(self.parameters, ratios)
+        self.published = published
+
     def share_weights(self, q2: Array, q3: Array) -> list[Array]:
         """How much of each of its values r has with joints 2 and 3 there, arrays of one shape."""
+        return self.published.weights(q2, q3)
 
     @abstractmethod
     def inertia_weight(self, q2: Array, q3: Array) -> Array | None:
@@ -457,14 +462,7 @@ class PhysicalElbow(PhysicalRotary):
     )
 
     def __init__(self, machine: Machine, ratios: Ratios = (FRICTION_LIMITED, FRICTION_LIMITED)) -> None:
-        self.machine = machine
-        self.ratios = ratios
-        self.parameters = _with_trace(self.parameters, ratios)
-        self.published = Elbow(machine)
-
-    def share_weights(self, q2: Array, q3: Array) -> list[Array]:
-        """See `PhysicalRotary.share_weights`."""
-        return self.published.weights(q2, q3)
+        super().__init__(machine, ratios, Elbow(machine))
 
     def inertia_weight(self, q2: Array, q3: Array) -> Array:
         """See `PhysicalRotary.inertia_weight`: of link 3, by the distance of its centre of mass."""
@@ -487,10 +485,7 @@ class PhysicalBase(PhysicalRotary):
     )
 
     def __init__(self, machine: Machine, ratios: Ratios = (FRICTION_LIMITED, FRICTION_LIMITED)) -> None:
-        self.machine = machine
-        self.ratios = ratios
-        self.parameters = _with_trace(self.parameters, ratios)
-        self.published: Rotary = Base(machine)
+        super().__init__(machine, ratios, Base(machine))
 
     def _relative_reach(self, q2: Array, q3: Array) -> Array:
         _, rho = self.published.weights(q2, q3)
@@ -506,10 +501,12 @@ class PhysicalBase(PhysicalRotary):
         return self._relative_reach(q2, q3) ** 2
 
 
-class PhysicalBaseAtOneReach(PhysicalBase):
+class PhysicalBaseAtOneReach(PhysicalRotary):
     """Joint 1 in a log that has one reach, at q2 and q3 (rad, m)."""
 
     name = "physical-base-one-reach"
+    joint = 1
+    columns = PhysicalBase.columns
     parameters: tuple[Parameter, ...] = (
         Parameter("gamma0", "µrad", "step size without load at the log's one reach", lower=0.0),
         Parameter("r", "1", "full load over friction at the log's one reach", -MAX_SHARE, MAX_SHARE),
@@ -522,19 +519,13 @@ class PhysicalBaseAtOneReach(PhysicalBase):
         q3: float,
         ratios: Ratios = (FRICTION_LIMITED, FRICTION_LIMITED),
     ) -> None:
-        self.machine = machine
-        self.ratios = ratios
+        super().__init__(machine, ratios, BaseAtOneReach(machine, q2, q3))
         self.q2 = q2
         self.q3 = q3
-        self.published = BaseAtOneReach(machine, q2, q3)
 
     def describe(self) -> dict[str, Any]:
         """See `Physical.describe`."""
         return super().describe() | {"q2_rad": self.q2, "q3_m": self.q3}
-
-    def share_weights(self, q2: Array, q3: Array) -> list[Array]:
-        """See `PhysicalRotary.share_weights`."""
-        return self.published.weights(q2, q3)
 
     def inertia_weight(self, q2: Array, q3: Array) -> None:
         """See `PhysicalRotary.inertia_weight`: none of its own."""
