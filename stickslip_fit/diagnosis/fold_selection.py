@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -126,10 +127,11 @@ class Looks:
         own = evidence[cause]
         least = own - max(CLEAR_NAME, CLEAR_NAME_SHARE * own)
         close = [one for one in evidence if one != cause and evidence[one] >= least]
-        version, before = (test.best_hypothesis(cause).version for test in (without, whole))
+        versions: list[Any] = [test.best_hypothesis(cause).version for test in (without, whole)]
+        version, before = versions
         # Effects that are linear in all parameters need no refit to be compared, unless another form may take
         # over a part of another cause.
-        linear = all(getattr(one, "combine_trials", False) for one in (version, before))
+        linear = all(getattr(one, "combine_trials", False) for one in versions)
         linear = linear and not (was_revised and len(version.parameters) != len(before.parameters))
         return bool(
             (version is before or linear)

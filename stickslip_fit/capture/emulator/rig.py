@@ -191,10 +191,9 @@ class EmulatedOperator:
         self.manipulator = manipulator
         self.clock = clock
         self.plan = plan
-
-    def show(self, text: str) -> None:
-        """See `Operator.show`."""
-        self.operator.show(text)
+        # What the manipulator has no part in.
+        self.show, self.stop_wanted = operator.show, operator.stop_wanted
+        self.begin_drive, self.progress = operator.begin_drive, operator.progress
 
     def begin_session(self, label: str) -> OperatorReply:
         """See `Operator.begin_session`."""
@@ -221,18 +220,6 @@ class EmulatedOperator:
         if reply.choice is OperatorChoice.GO_ON:
             self.manipulator.set(**{f"q{joint}": position})
         return reply
-
-    def begin_drive(self, drive: PlannedDrive) -> None:
-        """See `Operator.begin_drive`."""
-        self.operator.begin_drive(drive)
-
-    def progress(self, drive: PlannedDrive, steps: int, detection: Detection) -> None:
-        """See `Operator.progress`."""
-        self.operator.progress(drive, steps, detection)
-
-    def stop_wanted(self) -> bool:
-        """See `Operator.stop_wanted`."""
-        return self.operator.stop_wanted()
 
     def review(self, reading: TraverseReading) -> OperatorReply:
         """See `Operator.review`."""
