@@ -20,7 +20,6 @@ from stickslip_fit.moves.planning import (
     plan_steps,
     simulate_open_loop,
     step_model_from_parameters,
-    step_models_from_truth,
 )
 from stickslip_fit.moves.prediction import predict
 
@@ -45,7 +44,6 @@ __all__ = [
     "predict",
     "simulate_open_loop",
     "step_model_from_parameters",
-    "step_models_from_truth",
     "steps_before_recalibration",
     "straight_path",
 ]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -251,18 +250,6 @@ def step_model_from_parameters(law: StepLaw, values: Array) -> StepModel:
         return np.exp(law.predict(rows, own))
 
     return steps_for
-
-
-def step_models_from_truth(truth: TrueLaws) -> dict[Group, StepModel]:
-    """The true calibration, whose errors are rounding to whole steps and repeatability only."""
-    return {group: partial(_true_steps, truth, group) for group in truth.values}
-
-
-def _true_steps(truth: TrueLaws, group: Group, rows: pd.DataFrame) -> Array:
-    number = rows["number"].to_numpy()
-    values = truth.session_values(group)[number]
-    added, steps = truth.added(group, rows, values), np.exp(truth.laws[group[0]].predict(rows, values))
-    return added + (steps - added) / truth.factors(group)[number]
 
 
 def build_drive_rows(

@@ -33,7 +33,7 @@ from stickslip_fit.strategies.library import (
 )
 
 if TYPE_CHECKING:
-    from stickslip_fit.strategies.tip_error import TipErrors, compute_tip_errors, steps_from_predictor
+    from stickslip_fit.strategies.tip_error import TipErrors, compute_tip_errors
 
 __all__ = [
     "AtRandom",
@@ -60,7 +60,6 @@ __all__ = [
     "earlier_sessions",
     "other_sessions",
     "save_comparison",
-    "steps_from_predictor",
 ]
 
 

@@ -21,7 +21,6 @@ from stickslip_fit.moves import StepModel, TipPaths, TrueLaws, plan_steps, simul
 from stickslip_fit.moves.path import decompose
 from stickslip_fit.simulation import draw_noise
 from stickslip_fit.simulation.truth import Group
-from stickslip_fit.strategies.base import Predictor
 from stickslip_fit.units import JOINTS
 
 TIP_QUANTILE = 0.95
@@ -116,7 +115,7 @@ def compute_tip_errors(
     truth : TrueLaws
         Of c sessions, which may be those of many campaigns.
     calibrations : mapping of str to mapping of (int, str) to callable
-        By strategy, then by joint and direction: rows to steps, see `steps_from_predictor` and
+        By strategy, then by joint and direction: rows to steps, see
         `moves.step_model_from_parameters`.
     seeds : sequence, length c
     kind : {'gaussian', 't5'}, optional
@@ -169,11 +168,6 @@ def compute_tip_errors(
     table.insert(1, "number", np.tile(number, len(calibrations)))
     table.insert(2, "move", np.tile(move, len(calibrations)))
     return TipErrors(table)
-
-
-def steps_from_predictor(predictor: Predictor) -> StepModel:
-    """Steps as a strategy's predictor expects them, those lost in detecting a stop included."""
-    return lambda rows: np.exp(predictor(rows)[0])
 
 
 def _decompose_errors(paths: TipPaths, q: Array) -> dict[str, Array]:

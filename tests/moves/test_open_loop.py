@@ -19,11 +19,11 @@ from stickslip_fit.moves import (
     position_after,
     simulate_open_loop,
     step_model_from_parameters,
-    step_models_from_truth,
     straight_path,
 )
 from stickslip_fit.simulation import step_through
 from tests.conftest import Truth as ByHand
+from tests.moves.truth import step_models_from_truth
 
 MACHINE = load_machine()
 LAWS = {1: Base(MACHINE), 2: Elbow(MACHINE), 3: Prismatic()}

@@ -11,17 +11,16 @@ from stickslip_fit.moves import (
     TrueLaws,
     draw_random_paths,
     step_model_from_parameters,
-    step_models_from_truth,
 )
 from stickslip_fit.strategies import (
     ClosedForm,
     ConstantStepStrategy,
     compute_tip_errors,
     other_sessions,
-    steps_from_predictor,
 )
 from stickslip_fit.strategies.evaluation import make_cases
 from tests.moves.test_open_loop import HAND, LAWS, MACHINE, VALUES
+from tests.moves.truth import step_models_from_truth
 
 OWN = {1: np.ones(4), 2: np.ones(4), 3: np.array([1.0, 0.0, 1.0])}  # powers of a step's length
 # Steps a thousand times shorter: nothing is left of their being whole.
@@ -152,7 +151,8 @@ def test_strategies_calibrated_on_a_log_move_the_tip(log):
         group = trial.task.law.joint, trial.task.direction
         for strategy in strategies:
             made = trial.rows.loc[trial.task.offered.index[strategy.choose(trial.task)]]
-            calibrations[strategy.name][group] = steps_from_predictor(strategy.calibrate(trial.task, made))
+            predict = strategy.calibrate(trial.task, made)
+            calibrations[strategy.name][group] = lambda rows, predict=predict: np.exp(predict(rows)[0])
     truth = TrueLaws((log.sessions[0],), LAWS, VALUES)
     calibrations["the truth"] = step_models_from_truth(truth)
     calibrations["constant, no noise"] = {
