@@ -13,7 +13,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property, lru_cache, reduce
 from itertools import product
 from typing import Any, NoReturn
 
@@ -441,12 +441,7 @@ def _real(value: Any) -> Any:
 
 def _fold(function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
     """A function of two arguments applied to several, from the left."""
-    first, *others = arguments
-    if len(arguments) < 3:
-        return function(*arguments)
-    for other in others:
-        first = function(first, other)
-    return first
+    return function(*arguments) if len(arguments) < 3 else reduce(function, arguments)
 
 
 @lru_cache(maxsize=512)
@@ -505,9 +500,9 @@ class _Tape:
             return _integer_power(int(node.exp)), (self._slot(node.base),)
         operands = tuple(self._slot(argument) for argument in node.args)
         if node.is_Add:
-            return _add, operands
+            return (lambda *values: reduce(np.add, values)), operands
         if node.is_Mul:
-            return _multiply, operands
+            return (lambda *values: reduce(np.multiply, values)), operands
         return (FUNCTIONS | _POWERS)[node.formula_name][0], operands
 
 
@@ -516,18 +511,6 @@ def _as_float(number: Any) -> float:
         return float(number)
     except OverflowError:
         return math.inf if number > 0 else -math.inf
-
-
-def _add(first: Array, *others: Array) -> Array:
-    for other in others:
-        first = first + other
-    return first
-
-
-def _multiply(first: Array, *others: Array) -> Array:
-    for other in others:
-        first = first * other
-    return first
 
 
 def _integer_power(exponent: int) -> Numpy:
