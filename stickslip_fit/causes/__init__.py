@@ -50,7 +50,7 @@ from stickslip_fit.causes.environment import *  # noqa: F403
 from stickslip_fit.causes.formula import FormulaCause, restore_formula_cause
 from stickslip_fit.causes.generic import GenericCause
 from stickslip_fit.causes.geometry import *  # noqa: F403
-from stickslip_fit.causes.kinds import CountCause, FactorCause, StateCause, TermCause
+from stickslip_fit.causes.kinds import CountCause, FactorCause, OfJoints, StateCause, TermCause
 from stickslip_fit.causes.load import *  # noqa: F403
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter
 from stickslip_fit.causes.position import *  # noqa: F403
@@ -70,6 +70,7 @@ __all__ = [
     "FactorCause",
     "FormulaCause",
     "GenericCause",
+    "OfJoints",
     "SizedParameter",
     "StateCause",
     "TableCause",

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from abc import ABC
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import cached_property, partial, reduce
 from math import prod
 from typing import Any, ClassVar, Literal
@@ -66,8 +65,6 @@ class Cause(ABC):
         Whether it needs the gravity load or the published arm's dimensions.
     session : str
         The only session in which it acts; empty for all.
-    joint : int or None
-        The only joint on which it acts, of a cause with the field; 0 for all, None for a cause without.
     columns : tuple of str
         Quantities of a traverse that it needs besides positions and angles.
     parameters : tuple of CauseParameter
@@ -106,7 +103,6 @@ class Cause(ABC):
     kind: ClassVar[Literal["", "rotary", "prismatic"]] = ""
     needs_geometry: ClassVar[bool] = False
     session: str = ""
-    joint: int | None = None
     columns: ClassVar[tuple[str, ...]] = ()
     parameters: tuple[CauseParameter, ...]
     scale: tuple[float, ...]
@@ -138,19 +134,16 @@ class Cause(ABC):
         return [(self, np.array([self.scale] if self.trial_values is None else self.trial_values))]
 
     def restricted(self, rows: pd.DataFrame) -> list[Cause]:
-        """The cause on a part of the traverses alone, a joint or a direction; none if it has no such form.
+        """The cause on one joint or direction, or with a size for each joint; none if it has no such form.
 
         A search for causes tries them where the cause on all traverses does not suffice.
         """
-        joints = sorted({int(joint) for joint in rows["joint"]})
-        if self.joint != 0 or len(joints) < 2:
-            return []
-        return [replace(self, joint=joint) for joint in joints]  # type: ignore[type-var]
+        return []
 
     @property
     def is_restricted(self) -> bool:
-        """Whether it acts on a part of the traverses alone."""
-        return bool(self.joint)
+        """Whether it is of the forms of `restricted`."""
+        return False
 
     def finer_trials(self, rows: pd.DataFrame, values: Array) -> Array:
         """Values that lie between those of `trials`, about some of shape (q,); (m, q), none as a rule."""
@@ -182,8 +175,6 @@ class Cause(ABC):
         try:
             quantities = self.quantities(sizes_by_name(parameters))
             sentence = self.sentence.format_map(quantities)
-            if self.joint:
-                sentence = sentence.replace("Steps ", f"The steps of joint {self.joint} ", 1)
             return sentence or plain_description(self.phrase, parameters)
         except KeyError:
             return plain_description(self.phrase, parameters)
@@ -239,8 +230,6 @@ class Cause(ABC):
 
     def acts_on(self, law: StepLaw) -> bool:
         """Whether it acts on the joint of a law."""
-        if self.joint:
-            return law.joint == self.joint
         if self.kind:
             return law.prismatic == (self.kind == "prismatic")
         return self.joints == EVERY_JOINT or law.joint in self.joints

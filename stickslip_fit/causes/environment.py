@@ -84,6 +84,7 @@ class Temperature(ColumnCause):
     shows_best = "the same traverse in a cold and in a warm room"
     sentence = "Steps {k:grow|shrink} by {k} with the room's temperature"
     remedy = "keeping the room's temperature"
+    may_differ_by_joint = True
     columns = ("temperature",)
     forms = ("straight", "curved")
 
@@ -130,6 +131,7 @@ class Humidity(StageCause, ColumnCause):
     shows_best = "the same traverse in dry and in humid air"
     sentence = "Steps {k:grow|shrink} by {k} with the humidity"
     remedy = "keeping the room's humidity"
+    may_differ_by_joint = True
     columns = ("humidity",)
     parameters = (CauseParameter("k", "%/%", "change of the step size per per cent of relative humidity"),)
     scale = (0.05,)
@@ -149,6 +151,7 @@ class SupplyVoltage(ColumnCause):
     shows_best = "the same traverse at two supply voltages"
     sentence = "Steps {k:grow|shrink} by {k} with the supply voltage"
     remedy = "steadying the supply"
+    may_differ_by_joint = True
     columns = ("supply",)
     parameters = (CauseParameter("k", "%/V", "change of the step size per volt"),)
     scale = (0.005,)
@@ -176,6 +179,7 @@ class StepRate(FactorCause):
     shows_best = "the same traverse at the shortest and at the longest step period"
     sentence = "Steps {k:grow|shrink} by {k} when the step period doubles"
     remedy = "keeping to one step period"
+    may_differ_by_joint = True
     columns = ("step_period",)
     parameters = (CauseParameter("k", "%", "change of the step size per e-fold of the step period"),)
     scale = (0.02,)

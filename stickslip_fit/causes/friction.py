@@ -58,6 +58,10 @@ class StageEffect(StateCause):
         for name in _OWN:
             setattr(self, name, getattr(cause, name))
 
+    def with_cause(self, cause: FactorCause) -> StageEffect:
+        """The same of another factor."""
+        return StageEffect(cause, self.ratios, self.quantity)
+
     def change(self, state: State, values: list[Array]) -> State:
         """See `StateCause.change`."""
         factor = self.cause.factor(state, values)

@@ -1,16 +1,20 @@
-"""The four kinds of causes, by the stage at which they act; see `base`."""
+"""The four kinds of causes, by the stage at which they act (`base`), and factors of single joints."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
+import pandas as pd
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import DIFFERENCE_STEP, Cause, extend
-from stickslip_fit.causes.parameters import Row
+from stickslip_fit.causes.parameters import Row, SizedParameter
 from stickslip_fit.laws import State, StepLaw, state_at
+from stickslip_fit.machine import Machine
 
 
 class StateCause(Cause):
@@ -66,6 +70,16 @@ class FactorCause(Cause):
 
     acts_at = "factor"
 
+    may_differ_by_joint: ClassVar[bool] = False
+    """Whether each joint may have a size of its own: the first parameter, in which the factor is linear."""
+
+    def restricted(self, rows: pd.DataFrame) -> list[Cause]:
+        """See `Cause.restricted`: each joint alone, and all with sizes of their own."""
+        joints = tuple(sorted({int(joint) for joint in rows["joint"]}))
+        if not self.may_differ_by_joint or len(joints) < 2:
+            return []
+        return [OfJoints(self, own) for own in (*((joint,) for joint in joints), joints)]
+
     @abstractmethod
     def factor(self, state: State, values: list[Array]) -> Array:
         """The factor, shape (n, k) or (n, 1); each of `values` has shape (n, 1)."""
@@ -102,6 +116,116 @@ class FactorCause(Cause):
             return -np.log(factor)
         steps = np.exp(law.predict(rows, values))[:, None]
         return np.log((steps - added) / factor + added) - np.log(steps)
+
+
+_OF_CAUSE = (
+    *("name", "phrase", "physics", "shows_best", "remedy", "kind", "needs_geometry", "columns"),
+    *("max_panel", "varies_along_traverse", "affects_stop_only"),
+)
+
+
+@dataclass(frozen=True)
+class OfJoints(FactorCause):
+    """A factor that acts on some joints, on each with a size of its own.
+
+    Its parameters are the sizes, joint by joint, then the other ones of the cause, which the joints share.
+
+    Parameters
+    ----------
+    cause : FactorCause
+        One whose size may differ by joint (`FactorCause.may_differ_by_joint`).
+    on : tuple of int
+        The joints.
+    others : tuple of float, optional
+        Values of the other parameters where trials of its sizes act in combination.
+    """
+
+    cause: Any
+    on: tuple[int, ...]
+    others: tuple[float, ...] = ()
+
+    is_restricted = True
+
+    def __post_init__(self) -> None:
+        own = {name: getattr(self.cause, name) for name in _OF_CAUSE}
+        (size, *more), n = self.cause.parameters, len(self.on)
+        own["parameters"] = (*(replace(size, joint=joint) for joint in self.on), *more)
+        own["scale"] = self._spread(self.cause.scale)
+        absent, *usual = self.cause.null_values
+        own["null_values"] = self._spread((absent, *(self.others or usual)))
+        own["combine_trials"] = n > 1
+        own["session"] = self.cause.session if n == 1 else ""  # trials of one session do not act together
+        for name, value in own.items():
+            object.__setattr__(self, name, value)
+
+    def _spread(self, values: Sequence[float]) -> tuple[float, ...]:
+        """Values of the cause as those of this one: its size on every joint."""
+        return (*[values[0]] * len(self.on), *values[1:])
+
+    @property
+    def start_values(self) -> tuple[float, ...]:
+        """See `Cause.start_values`: without a size nothing else would matter."""
+        return (*self.scale[: len(self.on)], *self.null_values[len(self.on) :])
+
+    def acts_on(self, law: StepLaw) -> bool:
+        """See `Cause.acts_on`."""
+        return law.joint in self.on
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        """See `Cause.trials`: the sizes of each trial of the cause in any combination."""
+        if (n := len(self.on)) == 1:
+            return [(replace(self, cause=one), trials) for one, trials in self.cause.trials(rows)]
+        return [
+            (
+                replace(self, cause=one, others=tuple(own[1:].tolist())),
+                np.column_stack([own[0] * np.eye(n), np.tile(own[1:], (n, 1))]),
+            )
+            for one, trials in self.cause.trials(rows)
+            for own in trials
+        ]
+
+    def finer_trials(self, rows: pd.DataFrame, values: Array) -> Array:
+        """See `Cause.finer_trials`: with the sizes given."""
+        n = len(self.on)
+        finer = self.cause.finer_trials(rows, values[n - 1 :])
+        return np.column_stack([np.tile(values[:n], (len(finer), 1)), finer[:, 1:]])
+
+    def combine(self, shares: Array, trials: Array) -> Array:
+        """See `Cause.combine`."""
+        n = len(self.on)
+        return np.concatenate([shares @ trials[:, :n], trials[0, n:]])
+
+    def largest_plausible(self) -> tuple[Array, ...]:
+        """See `Cause.largest_plausible`."""
+        return tuple(np.array(self._spread(own.tolist())) for own in self.cause.largest_plausible())
+
+    def factor(self, state: State, values: list[Array]) -> Array:
+        """See `FactorCause.factor`."""
+        return self.cause.factor(state, [values[self.on.index(state.joint)], *values[len(self.on) :]])
+
+    def under(self, law: StepLaw) -> Cause:
+        """See `Cause.under`."""
+        own: Any = self.cause.under(law)
+        return self if own is self.cause else own.with_cause(self)
+
+    def describe(self, parameters: Sequence[SizedParameter]) -> str:
+        """See `Cause.describe`."""
+        described = self.cause.describe(parameters)
+        if len(self.on) > 1:
+            return described
+        return described.replace("Steps ", f"The steps of joint {self.on[0]} ", 1)
+
+    def readable(self, parameters: Sequence[SizedParameter]) -> tuple[SizedParameter, ...]:
+        """See `Cause.readable`."""
+        return self.cause.readable(parameters)
+
+    def bind(self, rows: pd.DataFrame, machine: Machine) -> OfJoints:
+        """See `Cause.bind`."""
+        return replace(self, cause=self.cause.bind(rows, machine))
+
+    def explain_missing(self, rows: pd.DataFrame) -> str | None:
+        """See `Cause.explain_missing`."""
+        return self.cause.explain_missing(rows[rows["joint"].isin(self.on)])
 
 
 class CountCause(Cause):

@@ -99,29 +99,31 @@ def show_time(parameters: Sequence[SizedParameter], name: str, unit: str) -> tup
 
 
 @dataclass(frozen=True)
-class SizesByDirection:
-    """A parameter that each direction has for itself; it is formatted like one, direction by direction."""
+class SizesApart:
+    """A parameter that each direction or joint has for itself; it is formatted like one, one by one."""
 
     sizes: tuple[SizedParameter, ...]
 
     @property
     def size(self) -> Interval:
-        """Of the first direction."""
+        """Of the first."""
         return self.sizes[0].size
 
-    def times(self, factor: float, unit: str = "") -> SizesByDirection:
+    def times(self, factor: float, unit: str = "") -> SizesApart:
         """Each size times a factor, displayed in another unit if one is given."""
-        return SizesByDirection(tuple(one.times(factor, unit) for one in self.sizes))
+        return SizesApart(tuple(one.times(factor, unit) for one in self.sizes))
 
     def __format__(self, form: str) -> str:
         texts = [f"{one:{form}}" for one in self.sizes]
         if "|" in form and len(set(texts)) == 1:
             return texts[0]
-        each = zip(texts, self.sizes, strict=True)
-        return join_words([f"{text} ({format_direction(one.direction)})" for text, one in each])
+        where = [
+            format_direction(one.direction) if one.direction else f"joint {one.joint}" for one in self.sizes
+        ]
+        return join_words([f"{text} ({own})" for text, own in zip(texts, where, strict=True)])
 
 
-Sizes = Mapping[str, SizedParameter | SizesByDirection]
+Sizes = Mapping[str, SizedParameter | SizesApart]
 """Parameters of a cause by name."""
 
 
@@ -147,12 +149,12 @@ def name_parameters(causes: Sequence[Any]) -> tuple[CauseParameter, ...]:
     return tuple(parameter.of_cause(name) for cause, name in named for parameter in cause.parameters)
 
 
-def sizes_by_name(parameters: Sequence[SizedParameter]) -> dict[str, SizedParameter | SizesByDirection]:
-    """Parameters by name, those of the two directions together."""
+def sizes_by_name(parameters: Sequence[SizedParameter]) -> dict[str, SizedParameter | SizesApart]:
+    """Parameters by name, those of the directions or joints together."""
     groups: dict[str, list[SizedParameter]] = {}
     for parameter in parameters:
         groups.setdefault(parameter.name, []).append(parameter)
-    return {name: own[0] if len(own) == 1 else SizesByDirection(tuple(own)) for name, own in groups.items()}
+    return {name: own[0] if len(own) == 1 else SizesApart(tuple(own)) for name, own in groups.items()}
 
 
 def plain_description(phrase: str, parameters: Sequence[SizedParameter]) -> str:

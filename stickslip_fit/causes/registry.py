@@ -16,6 +16,7 @@ from stickslip_fit.causes.base import Cause, ExtendedLaw
 from stickslip_fit.causes.environment import Covariate
 from stickslip_fit.causes.formula import FormulaCause, restore_formula_cause
 from stickslip_fit.causes.formula_step import STEP_CAUSES, FormulaStepCause
+from stickslip_fit.causes.kinds import OfJoints
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.causes.proposed import (
     CarryOverTerm,
@@ -133,6 +134,8 @@ def restore(
 
 
 def _describe_cause(cause: Cause) -> dict[str, Any]:
+    if isinstance(cause, OfJoints):
+        return _describe_cause(cause.cause) | {"on": cause.on, "others": cause.others}
     if not isinstance(cause, FormulaStepCause):
         return {"name": cause.name} | {field.name: getattr(cause, field.name) for field in fields(cause)}  # type: ignore[arg-type]
     bound = {field.name: getattr(cause, field.name) for field in fields(cause)}
@@ -161,6 +164,11 @@ def _restore_formula_cause(description: Mapping[str, Any], known: Mapping[str, A
 
 
 def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -> Cause:
+    if "on" in description:
+        one = {key: value for key, value in description.items() if key not in ("on", "others")}
+        return OfJoints(
+            _restore_cause(one, known), *(_to_tuples(description[key]) for key in ("on", "others"))
+        )
     if "source" in description:
         return _restore_formula_cause(description, known)
     name, bound = description["name"], {key: _to_tuples(value) for key, value in description.items()}

@@ -34,15 +34,7 @@ TIME_CONSTANTS = 60.0 * np.array([2.0, 4.0, 7.0, 12.0, 20.0, 35.0, 60.0])
 
 @dataclass(frozen=True)
 class ThermalWarmUp(FactorCause):
-    """gamma times 1 + A (1 - exp(-t / tau)), t from the session's first traverse.
-
-    Attributes
-    ----------
-    joint : int
-        As of a `Cause`.
-    """
-
-    joint: int = 0
+    """gamma times 1 + A (1 - exp(-t / tau)), t from the session's first traverse."""
 
     name = "thermal-warm-up"
     phrase = "the drive warms up"
@@ -56,6 +48,7 @@ class ThermalWarmUp(FactorCause):
         "Steps {A:grow|shrink} by {A} as a session runs, with a time constant of {tau}: the drive warms up"
     )
     remedy = "waiting until it is warm"
+    may_differ_by_joint = True
     columns = ("session_seconds",)
     parameters = (
         CauseParameter("A", "%", "change of the step size once warm"),
@@ -77,15 +70,7 @@ SECONDS_PER_HOUR = 3600.0
 
 @dataclass(frozen=True)
 class Drift(FactorCause):
-    """gamma times 1 + k t, t from the session's first traverse.
-
-    Attributes
-    ----------
-    joint : int
-        As of a `Cause`.
-    """
-
-    joint: int = 0
+    """gamma times 1 + k t, t from the session's first traverse."""
 
     name = "drift"
     phrase = "steps drift through each session"
@@ -96,6 +81,7 @@ class Drift(FactorCause):
     shows_best = "one configuration at a session's beginning, middle and end"
     sentence = "Steps {k:grow|shrink} by {k} through each session"
     remedy = "recalibrating within the session"
+    may_differ_by_joint = True
     columns = ("session_seconds",)
     parameters = (CauseParameter("k", "%/h", "change of the step size per hour"),)
     scale = (0.01 / SECONDS_PER_HOUR,)
@@ -116,13 +102,10 @@ class SessionJump(StageCause):
         In which it happens; empty for any.
     form : {"step", "friction", "voltage", "ramp time", ""}
         What is multiplied under a physical law, see `causes.friction`; empty for any.
-    joint : int
-        As of a `Cause`.
     """
 
     session: str = ""
     form: str = STEP
-    joint: int = 0
 
     name = "session-jump"
     phrase = "something jumped within a session"
@@ -132,6 +115,7 @@ class SessionJump(StageCause):
     )
     shows_best = "the configurations of before the jump once more, after it"
     remedy = "calibrating anew after it"
+    may_differ_by_joint = True
     columns = ("session", "session_seconds")
     scale = (0.01, 600.0)
     forms = (STEP, FRICTION, VOLTAGE, RAMP_TIME)
@@ -195,15 +179,7 @@ WEAR_SCALES = np.array([1e4, 1e5, 1e6])
 
 @dataclass(frozen=True)
 class Wear(StageCause):
-    """gamma times 1 + k log(1 + n / n0), n the joint's own logged steps so far, not reset by a session.
-
-    Attributes
-    ----------
-    joint : int
-        As of a `Cause`.
-    """
-
-    joint: int = 0
+    """gamma times 1 + k log(1 + n / n0), n the joint's own logged steps so far, not reset by a session."""
 
     name = "wear"
     phrase = "the joints wear"
@@ -219,6 +195,7 @@ class Wear(StageCause):
         "from {begin} on: the joints wear"
     )
     remedy = "calibrating more often"
+    may_differ_by_joint = True
     columns = ("steps_before",)
     parameters = (
         CauseParameter("k", "%", "change of the step size per e-fold of steps"),

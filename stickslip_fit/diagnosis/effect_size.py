@@ -15,7 +15,7 @@ import pandas as pd
 from scipy.special import betaincinv, ndtri, softmax
 
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.causes import SizedParameter
+from stickslip_fit.causes import OfJoints, SizedParameter
 from stickslip_fit.causes.levels import LevelCause
 from stickslip_fit.causes.proposed import CarryOverTerm, PeriodicTerm
 from stickslip_fit.causes.table_terms import PeriodicTableTerm
@@ -136,19 +136,19 @@ def _bound_moment(
 
     It holds the likeliest moments that share 95 % of the evidence, all of them equally likely before.
     """
-    names = [one.name for one in version.parameters if getattr(one, "sudden", False)]
+    sudden = [one for one in version.parameters if getattr(one, "sudden", False)]
     tried = [
-        (one.values[-1], evidence)
+        (moment, evidence)
         for one, evidence in zip(misfit.hypotheses, misfit.log_evidence, strict=True)
-        if isinstance(one, Hypothesis) and one.values is not None and one.version == version
+        if isinstance(one, Hypothesis) and (moment := _tried_moment(one, version)) is not None
     ]
-    if not names or not tried:
+    if not sudden or not tried:
         return parameters
     moments, place = np.unique([moment for moment, _ in tried], return_inverse=True)
     probability = np.bincount(place, softmax([evidence for _, evidence in tried]))
     order = np.argsort(-probability)
     likely = order[: int(np.searchsorted(np.cumsum(probability[order]), CREDIBLE)) + 1]
-    inside = rows["session"].astype(object) == version.session
+    inside = rows["session"].astype(object) == sudden[0].session
     # Rows that were set aside may have been the first or the last ones.
     times = np.unique(np.concatenate([rows["session_seconds"][inside].to_numpy(float), moments[[0, -1]]]))
     low, high = _stretch_of(moments, likely, times)
@@ -156,10 +156,18 @@ def _bound_moment(
         replace(
             one, size=replace(one.size, low=min(low, one.size.estimate), high=max(high, one.size.estimate))
         )
-        if one.name in names
+        if one.name == sudden[0].name
         else one
         for one in parameters
     )
+
+
+def _tried_moment(shape: Hypothesis, version: Any) -> float | None:
+    """The moment of a sudden change in a shape of a version, the last of its parameters, else None."""
+    if isinstance(version, OfJoints) and version.others and isinstance(shape.version, OfJoints):
+        same = replace(shape.version, others=version.others) == version
+        return shape.version.others[-1] if same and shape.version.others else None
+    return None if shape.values is None or shape.version != version else float(shape.values[-1])
 
 
 def _stretch_of(moments: Array, some: IntArray, times: Array) -> tuple[float, float]:

@@ -143,8 +143,12 @@ def penalised_likelihood(problem: DiagnosisProblem, fit: ExtendedFit) -> float:
 
 
 def refine_trial(one: SelectedCause, before: LinearizedFit) -> SelectedCause:
-    """A cause whose start values are the best of its finer trials, if it has any."""
-    if not len(one.start) or not len(trials := one.version.finer_trials(before.rows, one.start)):
+    """A cause whose start values are the best of its finer trials, if it has any with one size."""
+    if (
+        not len(one.start)
+        or one.version.combine_trials
+        or not len(trials := one.version.finer_trials(before.rows, one.start))
+    ):
         return one
     effects = compute_effects(before, one.version, trials)
     length = np.sqrt(np.sum(effects**2, axis=0))

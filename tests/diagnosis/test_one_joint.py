@@ -1,6 +1,7 @@
-"""A cause that acts on one joint alone has its name, its size and its joint."""
+"""A cause that acts on one joint alone, or on each with another size, has its name, sizes and joints."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -15,11 +16,18 @@ SIZE, TAU = 0.03, 2400.0
 
 def read_warmed(joints, seed):
     """A log in which some joints warm up; the other one does not."""
+    return read_changed(
+        lambda table, seconds: SIZE * (1.0 - np.exp(-seconds / TAU)) * table["joint"].isin(joints), seed
+    )
+
+
+def read_changed(change, seed):
+    """A log with a relative change of the step size, by its table and the seconds into each session."""
     hidden = hide("thesis", seed=seed)
     table = hidden.table.copy()
     time = pd.to_datetime(table["time"])
     seconds = (time - time.groupby(table["session"]).transform("min")).dt.total_seconds().to_numpy()
-    factor = 1.0 + SIZE * (1.0 - np.exp(-seconds / TAU)) * table["joint"].isin(joints)
+    factor = 1.0 + change(table, seconds)
     table["steps"] = (5 * np.round(table["steps"] / factor / 5)).astype(int)
     return read_hidden(replace(hidden, table=table))
 
@@ -47,4 +55,52 @@ def test_a_warm_up_of_one_joint_is_named_as_such(joint, seed, tmp_path):
 
 def test_a_warm_up_of_all_joints_has_one_size():
     (finding,) = ssf.diagnose(read_warmed([1, 2, 3], 4), gain=False).findings
-    assert (finding.cause, finding.version.joint) == ("thermal-warm-up", 0)
+    assert (finding.cause, finding.version.is_restricted) == ("thermal-warm-up", False)
+
+
+SIZES = {2: 0.008, 3: 0.03}
+
+
+def change_as(name, table, seconds):
+    """Relative change of a cause that has another size in each joint."""
+    if name == "thermal-warm-up":
+        course = 1.0 - np.exp(-seconds / TAU)
+    elif name == "drift":
+        course = seconds / 7200.0
+    else:
+        day = table["session"].unique()[1]
+        course = (table["session"] == day) & (seconds > np.median(seconds[table["session"] == day]))
+    return table["joint"].map(SIZES).fillna(0.0) * course
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [
+        ("drift", 11),
+        *(pytest.param("thermal-warm-up", k, marks=pytest.mark.nightly) for k in (12, 13)),
+        *(pytest.param("session-jump", k, marks=pytest.mark.nightly) for k in (14, 15)),
+    ],
+)
+def test_a_cause_with_another_size_in_each_joint_has_these_sizes(name, seed, tmp_path):
+    """With one size for all it describes neither joint, and what is left looks like noise or structure."""
+    log = read_changed(partial(change_as, name), seed)
+    found = ssf.diagnose(log, gain=False)
+    (finding,) = found.findings
+    assert finding.cause == name
+    own = {
+        one.joint: one.size.times(7200.0 if name == "drift" else 1.0)
+        for one in finding.parameters
+        if one.joint
+    }
+    assert {2, 3} <= own.keys()
+    for joint, true in SIZES.items():
+        error = (own[joint].high - own[joint].low) / 3.92
+        assert own[joint].estimate == pytest.approx(true, abs=3.5 * error)
+        assert error < 0.25 * SIZES[3]
+    assert "(joint 2)" in str(found.summary())
+    assert all(np.isfinite([one.size.low, one.size.high]).all() for one in finding.parameters)
+    law = found.extended_law()
+    law.save(tmp_path / "law.json")
+    pd.testing.assert_frame_equal(
+        ssf.load_result(tmp_path / "law.json").predict(log.rows), law.predict(log.rows), rtol=1e-6
+    )
