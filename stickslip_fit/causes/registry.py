@@ -135,7 +135,7 @@ def restore(
 
 def _describe_cause(cause: Cause) -> dict[str, Any]:
     if isinstance(cause, OfJoints):
-        return _describe_cause(cause.cause) | {"on": cause.on, "others": cause.others}
+        return _describe_cause(cause.cause) | {"of_joints": cause.on, "trial": cause.others}
     if not isinstance(cause, FormulaStepCause):
         return {"name": cause.name} | {field.name: getattr(cause, field.name) for field in fields(cause)}  # type: ignore[arg-type]
     bound = {field.name: getattr(cause, field.name) for field in fields(cause)}
@@ -164,11 +164,10 @@ def _restore_formula_cause(description: Mapping[str, Any], known: Mapping[str, A
 
 
 def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -> Cause:
-    if "on" in description:
-        one = {key: value for key, value in description.items() if key not in ("on", "others")}
-        return OfJoints(
-            _restore_cause(one, known), *(_to_tuples(description[key]) for key in ("on", "others"))
-        )
+    if "of_joints" in description:
+        inner = {key: value for key, value in description.items() if key not in ("of_joints", "trial")}
+        on, others = (tuple(description[key]) for key in ("of_joints", "trial"))
+        return OfJoints(_restore_cause(inner, known), on, others)
     if "source" in description:
         return _restore_formula_cause(description, known)
     name, bound = description["name"], {key: _to_tuples(value) for key, value in description.items()}

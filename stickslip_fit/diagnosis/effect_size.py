@@ -148,7 +148,7 @@ def _bound_moment(
     probability = np.bincount(place, softmax([evidence for _, evidence in tried]))
     order = np.argsort(-probability)
     likely = order[: int(np.searchsorted(np.cumsum(probability[order]), CREDIBLE)) + 1]
-    inside = rows["session"].astype(object) == sudden[0].session
+    inside = rows["session"].astype(object) == (version.session or sudden[0].session)
     # Rows that were set aside may have been the first or the last ones.
     times = np.unique(np.concatenate([rows["session_seconds"][inside].to_numpy(float), moments[[0, -1]]]))
     low, high = _stretch_of(moments, likely, times)

@@ -36,6 +36,7 @@ from stickslip_fit.diagnosis.misfit import (
     StructureRemoved,
     compute_misfit,
     drop_single_rows,
+    may_bend,
     remove_structure,
 )
 from stickslip_fit.diagnosis.noise import NoiseEstimate
@@ -355,7 +356,7 @@ def make_selected(
 
     Unknown structure has no version yet, see `proposed_term`.
     """
-    shape = misfit.best_hypothesis(cause_set.cause)
+    shape = misfit.best_equation(cause_set.cause)
     p_value = min(1.0, misfit.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     start = np.zeros(0)
     if cause_set.cause == UNKNOWN:
@@ -435,12 +436,14 @@ def open_changes(linearized: LinearizedFit, selected: SelectedCause) -> Array:
 
 
 def _other_shapes(linearized: LinearizedFit, selected: SelectedCause) -> list[Array]:
-    """Directions of all shapes of a selected cause's version; each shape (n, m)."""
+    """Directions of all shapes of a selected cause's version, and as the data may bend it; each (n, m)."""
     if linearized.noise_filter is None:
         return [
             one.directions
             for one in selected.test.hypotheses
-            if isinstance(one, Hypothesis) and one.cause == selected.cause and one.version == selected.version
+            if isinstance(one, Hypothesis)
+            and one.cause == selected.cause
+            and (one.version == selected.version or may_bend(one))
         ]
     # The directions of the test are whitened by the filter that the noise had then.
     effects = [

@@ -167,6 +167,12 @@ class Misfit:
         places = self._places.get(cause) or range(len(self.hypotheses))
         return self.hypotheses[self._choose(places)]
 
+    def best_equation(self, cause: str) -> Hypothesis | AR1:
+        """As `best_hypothesis`; where a shape that the data may bend is likelier, the likeliest equation."""
+        best = self.best_hypothesis(cause)
+        places = [k for k in self._places.get(cause, ()) if not may_bend(self.hypotheses[k])]
+        return self.hypotheses[self._choose(places)] if may_bend(best) and places else best
+
     def best_subspace(self, cause: str) -> Hypothesis:
         """As `best_hypothesis`, autoregressions left out."""
         for places in (self._places.get(cause, ()), range(len(self.hypotheses))):
@@ -223,6 +229,13 @@ class Misfit:
 def classify_cause(hypothesis: Hypothesis | AR1) -> str:
     """The cause, or ``unknown`` for any unstructured alternative."""
     return UNKNOWN if hypothesis.cause.startswith(f"{UNKNOWN}:") else hypothesis.cause
+
+
+def may_bend(hypothesis: Hypothesis | AR1) -> bool:
+    """Whether it is a cause as a smooth function of its column, in place of its equation at some values."""
+    version = hypothesis.version
+    is_shape = isinstance(hypothesis, Hypothesis) and hypothesis.values is None and version is not None
+    return is_shape and not getattr(version, "combine_trials", True)
 
 
 def _adds_to_simpler(hypothesis: Hypothesis | AR1) -> bool:

@@ -10,6 +10,7 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.errors import InputError
+from stickslip_fit.estimation._gaps import fill_gaps
 from stickslip_fit.laws import traverse_length
 from stickslip_fit.logs import Log
 
@@ -84,7 +85,7 @@ def mean_step_sizes(groups: Groups, rows: pd.DataFrame, response: Array) -> Arra
 
 
 def usable_rows(log: Log) -> pd.DataFrame:
-    """The traverses of a log that may be fitted.
+    """The traverses of a log that may be fitted, gaps of smooth columns filled in (`fill_gaps`).
 
     Raises
     ------
@@ -94,4 +95,4 @@ def usable_rows(log: Log) -> pd.DataFrame:
     rows = log.usable
     if rows.empty:
         raise InputError("the log has no usable traverse: every row is interrupted or excluded")
-    return rows
+    return fill_gaps(rows)
