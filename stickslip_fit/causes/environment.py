@@ -82,7 +82,6 @@ class Temperature(ColumnCause):
         "the response may bend gently."
     )
     shows_best = "the same traverse in a cold and in a warm room"
-    sentence = "Steps {k:grow|shrink} by {k} with the room's temperature"
     remedy = "keeping the room's temperature"
     may_differ_by_joint = True
     columns = ("temperature",)
@@ -106,6 +105,19 @@ class Temperature(ColumnCause):
         """See `Cause.trials`."""
         straight, curved = (replace(self, form=form) for form in self.forms)
         return [(straight, np.array([[0.002]])), (curved, np.array([[0.002, 0.5], [0.002, -0.5]]))]
+
+    @property
+    def sentence(self) -> str:  # type: ignore[override]
+        """See `Cause`."""
+        plain = "Steps {k:grow|shrink} by {k} with the room's temperature"
+        return plain + ", {cold:+} where it is cold and {warm:+} where it is warm" * (self.form == "curved")
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `Cause.quantities`: of its curved form the slopes at half the log's range from the mean."""
+        if self.form == "straight":
+            return sizes
+        k, bend = sizes["k"], sizes["bend"].size.estimate
+        return {**sizes, "cold": k.plus(-2.0 * bend), "warm": k.plus(2.0 * bend)}
 
     def largest_plausible(self) -> tuple[Array, ...]:
         """See `Cause.largest`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -76,6 +76,11 @@ class SizedParameter:
         """The parameter times a factor, displayed in another unit if one is given."""
         return replace(self, size=self.size.times(factor), unit=unit or self.unit)
 
+    def plus(self, share: float) -> SizedParameter:
+        """The parameter and a share of its estimate, with the error that it has."""
+        more = share * self.size.estimate
+        return replace(self, size=Interval(*(end + more for end in astuple(self.size))))
+
     def __format__(self, form: str) -> str:
         positive, bar, negative = form.partition("|")
         if bar:
@@ -112,6 +117,10 @@ class SizesApart:
     def times(self, factor: float, unit: str = "") -> SizesApart:
         """Each size times a factor, displayed in another unit if one is given."""
         return SizesApart(tuple(one.times(factor, unit) for one in self.sizes))
+
+    def plus(self, share: float) -> SizesApart:
+        """Each with a share of its estimate, see `SizedParameter.plus`."""
+        return SizesApart(tuple(one.plus(share) for one in self.sizes))
 
     def __format__(self, form: str) -> str:
         texts = [f"{one:{form}}" for one in self.sizes]

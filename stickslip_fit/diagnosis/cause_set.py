@@ -94,7 +94,8 @@ def limit_evidence(ahead: float, likelier: Array, other: Array, session: IntArra
         return ahead
     share = distance / distance.sum()
     variance = max(float(distance.sum()), float(np.sum((ratio - share * ratio.sum()) ** 2)))
-    z = ahead / np.sqrt(variance)
+    # A form of the other one that the data may bend is nearer than its fit, of which the scatter is known.
+    z = max(ahead, float(ratio.sum())) / np.sqrt(variance)
     return min(ahead, float(log_ndtr(z) - log_ndtr(-z)))
 
 

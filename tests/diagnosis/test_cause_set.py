@@ -49,6 +49,14 @@ def test_where_sessions_are_divided_a_large_lead_counts():
     assert 3.0 < limit_evidence(nats, likelier, likelier + 1.0, SESSION) < nats / 2
 
 
+def test_a_cause_that_is_nearer_in_every_session_is_ahead_of_one_whose_bent_form_has_evidence():
+    """What sessions tell is of the fits, and by these no session is as the other one says."""
+    rng = np.random.default_rng(4)
+    likelier = 1.5 * rng.standard_normal(len(SESSION))
+    other = likelier * np.where(SESSION % 3, 1.3, 2.5)
+    assert limit_evidence(0.2 * ahead(likelier, other), likelier, other, SESSION) > 3.0
+
+
 def test_causes_that_predict_the_same_keep_the_evidence_of_their_priors():
     residual = np.random.default_rng(3).standard_normal(len(SESSION))
     assert limit_evidence(4.0, residual, residual, SESSION) == 4.0

@@ -1,0 +1,45 @@
+"""Steps that follow a logged temperature: with empty cells, and by a curve."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import stickslip_fit as ssf
+from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
+
+
+def read_with_temperature(change, seed, empty=0):
+    """A log whose steps follow a room's slow swing; `empty` of its cells are lost."""
+    rng, hidden = np.random.default_rng(seed), hide("thesis", seed=seed)
+    table = hidden.table.copy()
+    hours = (pd.to_datetime(table["time"]) - pd.to_datetime(table["time"]).min()).dt.total_seconds() / 3600.0
+    kelvin = 4.0 * np.sin(2.0 * np.pi * hours.to_numpy() / 1.7 + seed)
+    table["steps"] = (5 * np.round(table["steps"] / (1.0 + change(kelvin)) / 5)).astype(int)
+    readings = np.round(21.0 + kelvin, 1).astype(object)
+    readings[rng.choice(len(readings), empty, replace=False)] = ""
+    table["temperature_C"] = readings
+    return read_hidden(replace(hidden, table=table))
+
+
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.nightly)])
+def test_empty_cells_of_a_slow_temperature_do_not_hide_it(seed):
+    """With the column's mean in them a few rows are far off, and any function of time is likelier."""
+    found = ssf.diagnose(read_with_temperature(lambda k: 0.005 * k, seed, empty=20), gain=False)
+    (finding,) = found.findings
+    assert (found.verdict, finding.cause) == ("cause named", "temperature")
+    (slope,) = finding.parameters
+    assert slope.size.low < 0.005 < slope.size.high
+
+
+@pytest.mark.parametrize("seed", [5, pytest.param(6, marks=pytest.mark.nightly)])
+def test_an_effect_that_saturates_is_told_and_predicted_with_its_bend(seed):
+    log = read_with_temperature(lambda k: 0.02 * np.tanh((k + 1.0) / 2.0), seed)
+    found = ssf.diagnose(log, gain=False)
+    finding = found.findings[0]
+    assert finding.cause == "temperature"
+    sizes = {one.name: one.size for one in finding.parameters}
+    assert sizes["bend"].high < 0.0
+    assert "where it is cold" in str(found.summary())
