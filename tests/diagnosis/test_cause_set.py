@@ -54,7 +54,7 @@ def test_a_cause_that_is_nearer_in_every_session_is_ahead_of_one_whose_bent_form
     rng = np.random.default_rng(4)
     likelier = 1.5 * rng.standard_normal(len(SESSION))
     other = likelier * np.where(SESSION % 3, 1.3, 2.5)
-    assert limit_evidence(0.2 * ahead(likelier, other), likelier, other, SESSION) > 3.0
+    assert limit_evidence(0.05 * ahead(likelier, other), likelier, other, SESSION) > 3.0
 
 
 def test_causes_that_predict_the_same_keep_the_evidence_of_their_priors():

@@ -16,7 +16,7 @@ def read_with_temperature(change, seed, empty=0):
     rng, hidden = np.random.default_rng(seed), hide("thesis", seed=seed)
     table = hidden.table.copy()
     hours = (pd.to_datetime(table["time"]) - pd.to_datetime(table["time"]).min()).dt.total_seconds() / 3600.0
-    kelvin = 4.0 * np.sin(2.0 * np.pi * hours.to_numpy() / 1.7 + seed)
+    kelvin = 4.0 * np.sin(2.0 * np.pi * hours.to_numpy() / 4.0 + seed)
     table["steps"] = (5 * np.round(table["steps"] / (1.0 + change(kelvin)) / 5)).astype(int)
     readings = np.round(21.0 + kelvin, 1).astype(object)
     readings[rng.choice(len(readings), empty, replace=False)] = ""
@@ -27,7 +27,7 @@ def read_with_temperature(change, seed, empty=0):
 @pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.nightly)])
 def test_empty_cells_of_a_slow_temperature_do_not_hide_it(seed):
     """With the column's mean in them a few rows are far off, and any function of time is likelier."""
-    found = ssf.diagnose(read_with_temperature(lambda k: 0.005 * k, seed, empty=20), gain=False)
+    found = ssf.diagnose(read_with_temperature(lambda k: 0.01 * k, seed, empty=20), gain=False)
     (finding,) = found.findings
     assert (found.verdict, finding.cause) == ("cause named", "temperature")
     (slope,) = finding.parameters
