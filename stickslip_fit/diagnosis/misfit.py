@@ -20,7 +20,7 @@ The p-value of a `Diagnosis` is min(1, p_outliers / 0.25, p_rest / 0.75), a weig
 correction for two tests. p_outliers is that of the likelihood ratio test in `noise.find_outliers`; p_rest
 is `compute_misfit(...).p_value` of the baseline's residuals, outlying counts removed: the share of
 bootstrap samples with at least the log's statistic, (1 + exceedances) / (1 + samples); there are no more
-samples once so many exceed it that no decision depends on the rest. Where the noise was found
+samples once so many exceed it that no decision depends on the rest, or it is far above nearly half of them. Where the noise was found
 heteroscedastic or skewed from the same residuals, that share is doubled. `selection.select_causes` does both
 tests in this order.
 """
@@ -68,6 +68,7 @@ TAIL_DF = (5.0, 8.0, 15.0, 200.0)  # of Student t noise that is simulated
 # is so many nats above all bootstrap samples.
 MAX_DOUBTFUL_P_VALUE, MAX_DOUBTFUL_LOG_EVIDENCE = 0.05, 10.0
 SMOOTHING_SD = 0.2  # of resampled residuals, in units of the noise
+CLEAR_SHARE = 0.45  # of the samples, after which there are no more if the statistic is as far above all
 # Of few samples a single one would decide: with so few of them above the statistic, there are more.
 MIN_DECISIVE_SAMPLES, FEW_EXCEEDANCES = 1000, 5
 MIN_STUDENT_SAMPLES = 2000  # few samples would let one of them decide
@@ -277,7 +278,8 @@ def compute_misfit(
     """Test the residuals of a fit by `n_bootstrap` samples; 0 gives no p-value (NaN).
 
     After `max_exceedances` samples above the log's statistic the bootstrap ends (J. Besag and P. Clifford,
-    Biometrika 78:301, 1991). `p_value_factor` is that of `Misfit`. Noise that is `skewed`, or rounded by a
+    Biometrika 78:301, 1991), and where it is far above all of `CLEAR_SHARE` of the samples. Both only ever
+    make the p-value larger than that of all samples. `p_value_factor` is that of `Misfit`. Noise that is `skewed`, or rounded by a
     `quantization`, is simulated as such.
     """
     # A law with as many parameters as rows fits anything; one that leaves nothing has nothing to be tested.
@@ -296,12 +298,14 @@ def compute_misfit(
 
     def simulate(draw_noise: NoiseSampler, number: int, null: Array) -> tuple[Array, float]:
         """The statistic in samples of noise, after those of `null`, and the share of at least the log's."""
-        before = len(null)
+        before, enough = len(null), max(CLEAR_SHARE * number, MIN_DECISIVE_SAMPLES)
         size = min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), batch.n_coefficients), 1))
         for first in range(0, number, size):
             noise = winsorize(draw_noise(min(size, number - first)), bound)
             null = np.concatenate([null, batch.log_mean_evidence(linearized.project(noise), weight)])
-            if max_exceedances is not None and np.sum(null[before:] >= statistic) >= max_exceedances:
+            is_clear = len(null) >= enough and statistic > null.max() + MAX_DOUBTFUL_LOG_EVIDENCE
+            exceedances = int(np.sum(null[before:] >= statistic))
+            if max_exceedances is not None and (is_clear or exceedances >= max_exceedances):
                 break
         return null, (1 + int(np.sum(null >= statistic))) / (1 + len(null))
 
