@@ -19,10 +19,10 @@ the simulated ones.
 The p-value of a `Diagnosis` is min(1, p_outliers / 0.25, p_rest / 0.75), a weighted Bonferroni
 correction for two tests. p_outliers is that of the likelihood ratio test in `noise.find_outliers`; p_rest
 is `compute_misfit(...).p_value` of the baseline's residuals, outlying counts removed: the share of
-bootstrap samples with at least the log's statistic, (1 + exceedances) / (1 + samples); there are no more
-samples once so many exceed it that no decision depends on the rest, or it is far above nearly half of them. Where the noise was found
-heteroscedastic or skewed from the same residuals, that share is doubled. `selection.select_causes` does both
-tests in this order.
+bootstrap samples with at least the log's statistic, (1 + exceedances) / (1 + samples). There are no more
+samples once no decision depends on the rest: so many exceed the statistic, or it is far above 20 samples for
+each expected false alarm. Where the noise was found heteroscedastic or skewed from the same residuals, that
+share is doubled. `selection.select_causes` does both tests in this order.
 """
 
 from __future__ import annotations
@@ -68,7 +68,9 @@ TAIL_DF = (5.0, 8.0, 15.0, 200.0)  # of Student t noise that is simulated
 # is so many nats above all bootstrap samples.
 MAX_DOUBTFUL_P_VALUE, MAX_DOUBTFUL_LOG_EVIDENCE = 0.05, 10.0
 SMOOTHING_SD = 0.2  # of resampled residuals, in units of the noise
-CLEAR_SHARE = 0.45  # of the samples, after which there are no more if the statistic is as far above all
+# Of the samples that a p-value without a factor has, after which there are no more if the statistic is as far
+# above all of them.
+CLEAR_SHARE = 2 / 3
 # Of few samples a single one would decide: with so few of them above the statistic, there are more.
 MIN_DECISIVE_SAMPLES, FEW_EXCEEDANCES = 1000, 5
 MIN_STUDENT_SAMPLES = 2000  # few samples would let one of them decide
@@ -298,7 +300,7 @@ def compute_misfit(
 
     def simulate(draw_noise: NoiseSampler, number: int, null: Array) -> tuple[Array, float]:
         """The statistic in samples of noise, after those of `null`, and the share of at least the log's."""
-        before, enough = len(null), max(CLEAR_SHARE * number, MIN_DECISIVE_SAMPLES)
+        before, enough = len(null), max(CLEAR_SHARE * number / p_value_factor, MIN_DECISIVE_SAMPLES)
         size = min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), batch.n_coefficients), 1))
         for first in range(0, number, size):
             noise = winsorize(draw_noise(min(size, number - first)), bound)
