@@ -3,7 +3,8 @@
 The table becomes a `DiagnosisProblem` as a log does: rows in order of time within each session, the law
 fitted to each session, the user's causes beside the generic ones (`causes.table_library`), and unstructured
 alternatives (`table_alternatives`). Where rows are samples of a signal, the autocorrelation of their noise is
-estimated and removed (`autocorrelation`).
+estimated and removed (`autocorrelation`), and smooth functions of time and waves have to be likelier than
+what is found without these (`time_or_columns`).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +42,7 @@ from stickslip_fit.diagnosis.table_rows import (
     find_columns,
     read_rows,
 )
+from stickslip_fit.diagnosis.time_or_columns import prefer_columns
 from stickslip_fit.errors import InputError, InputIssue, check_count, check_rate
 from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.estimation.table_law import fit_table_law
@@ -132,7 +135,8 @@ def diagnose_table(
     problem, missing = problem_from_table(
         table, law, response=response, roles=roles, causes=causes, generic_causes=generic_causes
     )
-    diagnosis = diagnose_problem(problem, missing, alpha=alpha, seed=seed, progress=progress)
+    search = partial(diagnose_problem, missing=missing, alpha=alpha, seed=seed, progress=progress)
+    diagnosis = prefer_columns(problem, search(problem), search)
     info = replace(describe_table(problem, diagnosis.selection.problem, roles), **source)
     diagnosis = replace(diagnosis, table=info, seconds=clock.perf_counter() - began)
     return diagnosis.measure_gain(progress=progress) if gain else diagnosis

@@ -66,13 +66,13 @@ def with_samples(
     others = {one: changes for one, changes in whole.items() if one.cause in generic}
     most = max(min(MAX_MEAN_DIRECTIONS, linearized.df // ROWS_PER_MEAN_DIRECTION), 0)
     own, possible = _leading_directions(offered, n, most), _leading_directions(others, n, most)
-    n_courses = MAX_COURSE_DIRECTIONS
+    n_courses = MAX_COURSE_DIRECTIONS if alternatives.roles.time else 0
     if own.shape[1]:
         alone = plain.extend(linearized, own)
         mean = alone if mean is plain else mean.extend(linearized, own)
         # Courses of many sessions would take the place of what causes explain in all of them.
         if alone.value - price(own) > plain.value + MIN_ADVANTAGE:
-            n_courses = MAX_BESIDE_OWN
+            n_courses = min(n_courses, MAX_BESIDE_OWN)
     beside, degree = find_session_courses(linearized, mean, n_courses)
     problem = replace(problem, alternatives=replace(alternatives, course_degree=degree))
     if wave is None and beside is not begun:

@@ -218,3 +218,22 @@ def test_a_polynomial_in_time_is_no_warm_up_no_drift_and_no_sudden_change(shape)
     frame = pd.DataFrame({"t": np.arange(120.0), "x": x, "y": y})
     found = ssf.diagnose_table(frame, "y ~ a + b*x", time="t", gain=False)
     assert [(one.cause, one.carrier) for one in found.findings] == [("unknown", "time")]
+
+
+@pytest.mark.parametrize(
+    ("cycles", "offset", "drift", "expected"),
+    [(1, 0.02, 0.0, "offset-by-direction"), (3, 0.02, 0.0, "offset-by-direction"), (3, 0.0, 0.03, "drift")],
+    ids=["one sweep", "three sweeps", "drift beside sweeps"],
+)
+def test_what_follows_a_column_that_is_swept_is_no_function_of_time(cycles, offset, drift, expected):
+    """A parabola in the temperature and an effect beside it: together a smooth course, or a wave, in time."""
+    share = np.arange(180) / 180
+    phase = share * cycles % 1.0
+    swept = pd.DataFrame({"t": 20.0 * np.arange(180), "T": 20.0 + 360.0 * np.minimum(phase, 1.0 - phase)})
+    swept["branch"] = np.where(phase < 0.5, "heating", "cooling")
+    swept["E"] = 0.005 * swept["T"] + 0.0944 * ((swept["T"] - 110.0) / 90.0) ** 2 + drift * share
+    swept["E"] += offset * (phase >= 0.5) + 0.006 * np.random.default_rng(0).standard_normal(180)
+    found = ssf.diagnose_table(swept, "E ~ a + b*T", time="t", direction="branch", gain=False)
+    assert {(one.cause, one.carrier) for one in found.findings} == {(expected, ""), ("unknown", "T")}
+    (term,) = (one.term for one in found.findings if one.cause == "unknown")
+    assert "^2" in term
