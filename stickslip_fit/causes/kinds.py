@@ -13,6 +13,7 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import DIFFERENCE_STEP, Cause, extend
 from stickslip_fit.causes.parameters import Row, SizedParameter
+from stickslip_fit.errors import InputError
 from stickslip_fit.laws import State, StepLaw, state_at
 from stickslip_fit.machine import Machine
 
@@ -138,6 +139,11 @@ class OfJoints(FactorCause):
         The joints.
     others : tuple of float, optional
         Values of the other parameters where trials of its sizes act in combination.
+
+    Raises
+    ------
+    InputError
+        For a cause whose size is not one number for all joints, or no joint.
     """
 
     cause: Any
@@ -147,6 +153,8 @@ class OfJoints(FactorCause):
     is_restricted = True
 
     def __post_init__(self) -> None:
+        if not (isinstance(self.cause, FactorCause) and self.cause.may_differ_by_joint and self.on):
+            raise InputError(f"{self.cause!r} has no size that could differ by joint, or no joint was given")
         own = {name: getattr(self.cause, name) for name in _OF_CAUSE}
         (size, *more), n = self.cause.parameters, len(self.on)
         own["parameters"] = (*(replace(size, joint=joint) for joint in self.on), *more)

@@ -1,13 +1,13 @@
 """Combinations: causes that show only together, and causes revised with the others in the law.
 
-Forward selection fails in four ways. A cause may act on one joint or direction alone, which its equation for
-all does not describe: it is tried on such parts (`find_in_part`). Two effects may act so that neither alone
-explains more than unstructured alternatives do: pairs are tried before `unknown` is said (`first_of_pair`).
-Unstructured alternatives may take up a cause beside them: before the search ends with `unknown`, a cause with
-such structure beside it is compared with that alone (`find_beside_unknown`). Or a wrong cause may explain
-more alone than either of two right ones: each selected cause is compared with its close rivals, another cause
-added to these (`find_exchange`). At the end, causes that the others make needless are dropped
-(`find_needless`).
+Forward selection fails in four ways. A cause may act on one joint or direction alone, or on each joint by
+another size, which its equation for all does not describe: it is tried so (`find_in_part`). Two effects may
+act so that neither alone explains more than unstructured alternatives do: pairs are tried before `unknown`
+is said (`first_of_pair`). Unstructured alternatives may take up a cause beside them: before the search ends
+with `unknown`, a cause with such structure beside it is compared with that alone (`find_beside_unknown`).
+Or a wrong cause may explain more alone than either of two right ones: each selected cause is compared with
+its close rivals, another cause added to these (`find_exchange`). At the end, causes that the others make
+needless are dropped (`find_needless`).
 """
 
 from __future__ import annotations
@@ -130,10 +130,10 @@ def first_of_pair(
 def find_in_part(
     problem: DiagnosisProblem, searched: LinearizedFit, misfit: Misfit, likeliest: str
 ) -> Search[Misfit]:
-    """A test in which a cause of one joint or direction alone is likelier than the `likeliest` one, if any.
+    """A test in which a cause in one of its restricted forms is likelier than the `likeliest` one, if any.
 
     Causes have one size for all joints, which may differ: a knock against one of them, or its own warm-up.
-    Beside unknown structure all are tried, beside a cause that one.
+    Beside unknown structure all are tried, beside a cause that one. See `Cause.restricted`.
     """
     allowed = set(misfit.log_evidence_by_cause) if likeliest == UNKNOWN else {likeliest}
     tried = [one for one in problem.causes if one.name in allowed and hasattr(one, "restricted")]

@@ -279,10 +279,10 @@ def compute_misfit(
 ) -> Misfit:
     """Test the residuals of a fit by `n_bootstrap` samples; 0 gives no p-value (NaN).
 
-    After `max_exceedances` samples above the log's statistic the bootstrap ends (J. Besag and P. Clifford,
-    Biometrika 78:301, 1991), and where it is far above all of `CLEAR_SHARE` of the samples. Both only ever
-    make the p-value larger than that of all samples. `p_value_factor` is that of `Misfit`. Noise that is `skewed`, or rounded by a
-    `quantization`, is simulated as such.
+    After `max_exceedances` samples above the log's statistic the bootstrap ends (J. Besag and P.
+    Clifford, Biometrika 78:301, 1991), and where it is far above all of `CLEAR_SHARE` of the samples.
+    Both only ever make the p-value larger than that of all samples. `p_value_factor` is that of `Misfit`.
+    Noise that is `skewed`, or rounded by a `quantization`, is simulated as such.
     """
     # A law with as many parameters as rows fits anything; one that leaves nothing has nothing to be tested.
     if not hypotheses or linearized.df < 1 or linearized.fits_exactly:

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 import stickslip_fit as ssf
+from stickslip_fit.laws import Configuration, ConstantStep, Prismatic
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
 
@@ -104,3 +105,26 @@ def test_a_cause_with_another_size_in_each_joint_has_these_sizes(name, seed, tmp
     pd.testing.assert_frame_equal(
         ssf.load_result(tmp_path / "law.json").predict(log.rows), law.predict(log.rows), rtol=1e-6
     )
+
+
+def test_a_law_has_the_size_of_its_joint():
+    """gamma of each joint is that with the cause alone, at its own size; the time constant is shared."""
+    cause = ssf.causes.OfJoints(ssf.causes.ThermalWarmUp(), (2, 3))
+    table = {"q1": 0.0, "q2": -1.0, "q3": 0.006, "theta": 0.0, "psi": 0.0, "session_seconds": 900.0}
+    rows = {name: np.array([value]) for name, value in table.items()}
+    for law, own, start, stop in (
+        (Prismatic(), [976e-9, 0.3, 438e-9], 0.0, 0.012),
+        (ConstantStep(2, Configuration("anywhere")), [1e-4], -1.0, 0.5),
+    ):
+        ends = rows | {"start": np.array([start]), "stop": np.array([stop])}
+        apart, _ = ssf.causes.extend(law, cause).counts(ends, np.array([*own, 0.01, 0.03, TAU]))
+        size = {2: 0.01, 3: 0.03}[law.joint]
+        alone, _ = ssf.causes.extend(law, ssf.causes.ThermalWarmUp()).counts(
+            ends, np.array([*own, size, TAU])
+        )
+        assert apart == pytest.approx(alone, rel=1e-12)
+
+
+def test_a_cause_whose_size_is_of_joints_already_is_refused():
+    with pytest.raises(ssf.InputError, match="no size that could differ by joint"):
+        ssf.causes.OfJoints(ssf.causes.LoadNonlinearity(), (2, 3))
