@@ -173,6 +173,11 @@ def _parameter_tables(diagnosis: Diagnosis) -> list[Table]:
         for finding in findings
         if hasattr(finding.version, "beside")
     ]
+    notes += [
+        f"{join_words(ends)} of {finding.cause}: at the end of the range searched, and maybe beyond it."
+        for finding in findings
+        if (ends := finding.at_bounds)
+    ]
     note = " ".join(notes)
     caption = f"Parameters of what was named{' or proposed' if proposed else ''}"
     return [_without_empty(caption, columns, rows[:MAX_PARAMETERS], "of", stubs=2, note=note)] if rows else []

@@ -14,6 +14,7 @@ from stickslip_fit.diagnosis.lagged import LaggedColumn
 from stickslip_fit.units import UNITS, Interval, from_si
 
 GIVEN_BEFORE = "each given those before it"  # of errors in noise that persists, see `Gain.given_before`
+AT_BOUND = 1e-3  # of a parameter or its interval: distance from a bound at which it is there
 TO_SOME_EXTENT = " to some extent"  # ends the carrier of structure like that of a cause that is not named
 
 
@@ -187,6 +188,17 @@ class Finding:
     def shown_parameters(self) -> tuple[SizedParameter, ...]:
         """The parameters in the units in which they are read most easily."""
         return self.version.readable(self.parameters) if self.version is not None else self.parameters
+
+    @property
+    def at_bounds(self) -> tuple[str, ...]:
+        """Names of the parameters that are at an end of the range in which they were fitted."""
+        ends = {one.name: (one.lower, one.upper) for one in getattr(self.version, "parameters", ())}
+        found = []
+        for one in self.parameters:
+            near = AT_BOUND * max(one.size.high - one.size.low, abs(one.size.estimate))
+            if any(abs(one.size.estimate - end) <= near for end in ends.get(one.name, ())):
+                found.append(one.name)
+        return tuple(found)
 
 
 @dataclass(frozen=True)

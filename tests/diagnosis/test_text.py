@@ -55,6 +55,18 @@ def test_a_named_cause_comes_with_its_size_its_cure_and_the_repeatability(named)
     assert float(noise[1]) / 100 == pytest.approx(REPEATABILITY, rel=0.15)
 
 
+def test_a_parameter_at_the_end_of_its_range_is_not_told_as_if_it_were_known(named):
+    """A warm-up whose time constant is the longest that is fitted may be slower."""
+    version = next(one for one in library() if one.name == "thermal-warm-up")
+    finding = finding_of(version, 0.03)
+    for minutes, at_bounds in ((180.0, ("tau",)), (170.0, ())):
+        tau = replace(finding.parameters[1], size=Interval(60.0 * minutes, 9000.0, 60.0 * minutes))
+        own = replace(finding, parameters=(finding.parameters[0], tau))
+        assert own.at_bounds == at_bounds
+        text = " ".join(str(replace(named, findings=(own,))).split())
+        assert ("tau of thermal-warm-up: at the end of the range searched" in text) == bool(at_bounds)
+
+
 def test_a_gain_has_no_digits_that_nobody_can_know(named):
     """Of the errors those of an rms of some hundred rows, of the gain those of its interval."""
     for gain, cells in (
