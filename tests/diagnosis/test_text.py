@@ -11,7 +11,7 @@ import pytest
 from stickslip_fit.causes import PayloadChange, SessionJump, SizedParameter, covariates, library
 from stickslip_fit.diagnosis import Finding, Gain, NextTraverse, diagnose
 from stickslip_fit.diagnosis._log_words import describe_effect, remedy_for
-from stickslip_fit.diagnosis._summary import write_headline
+from stickslip_fit.diagnosis._summary import _parameter_tables, write_headline
 from stickslip_fit.units import Interval
 from tests.diagnosis.conftest import ALPHA, REPEATABILITY, changed, hours_in
 
@@ -63,8 +63,8 @@ def test_a_parameter_at_the_end_of_its_range_is_not_told_as_if_it_were_known(nam
         tau = replace(finding.parameters[1], size=Interval(60.0 * minutes, 9000.0, 60.0 * minutes))
         own = replace(finding, parameters=(finding.parameters[0], tau))
         assert own.at_bounds == at_bounds
-        text = " ".join(str(replace(named, findings=(own,))).split())
-        assert ("tau of thermal-warm-up: at the end of the range searched" in text) == bool(at_bounds)
+        (table,) = _parameter_tables(replace(named, findings=(own,)))
+        assert ("tau of thermal-warm-up: at the end of the range searched" in table.note) == bool(at_bounds)
 
 
 def test_a_gain_has_no_digits_that_nobody_can_know(named):
