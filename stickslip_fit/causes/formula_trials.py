@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.cause_formula import CauseFormula
@@ -324,7 +325,7 @@ class TrialSearch(ABC):
         effects = slopes[:, : len(amplitudes)] if amplitudes else (value - self.absent()[0])[:, None]
         if not np.isfinite(effects).all():
             return np.zeros((len(effects), 0))
-        left, singular, _ = np.linalg.svd(effects - effects.mean(axis=0), full_matrices=False)
+        left, singular, _ = svd(effects - effects.mean(axis=0))
         return np.asarray(left[:, singular > NULL_TOL * np.abs(effects).max(initial=0.0)])
 
     def _pairs(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.generic import AddedTerm, GenericCause, Term, linear_term
 from stickslip_fit.causes.parameters import CauseParameter, Sizes
@@ -159,7 +160,7 @@ def zero_causes(rows: pd.DataFrame, law: TableLaw, y: Array, unit: str, size: fl
 def _is_left(column: Array, known: Array) -> bool:
     """Whether other columns, shape (n, p), leave something of a column, shape (n, 1)."""
     length = np.linalg.norm(known, axis=0)
-    left, singular, _ = np.linalg.svd(known / np.where(length > 0, length, 1.0), full_matrices=False)
+    left, singular, _ = svd(known / np.where(length > 0, length, 1.0))
     basis = left[:, singular > RANK_TOL * singular.max(initial=0.0)]
     rest = column - basis @ (basis.T @ column)
     return bool(np.linalg.norm(rest) > MIN_LEFT * np.linalg.norm(column))

@@ -31,6 +31,7 @@ from scipy.linalg import solve_toeplitz
 from scipy.sparse import csr_array
 from scipy.special import ndtri
 
+from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.restricted_likelihood import (
@@ -385,7 +386,7 @@ def spanning(columns: Array) -> Array:
     if columns.shape[1] == 1:
         length = float(np.linalg.norm(columns))
         return columns / length if length > MIN_LENGTH else columns[:, :0]
-    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    left, singular, _ = svd(columns)
     return left[:, singular > SPAN_TOL * max(float(singular.max(initial=0.0)), MIN_LENGTH)]
 
 

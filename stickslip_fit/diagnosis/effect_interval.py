@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc, gammaln
 
+from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
@@ -287,7 +288,7 @@ def _forms_beyond_fit(selection: Selection, selected: SelectedCause) -> tuple[Ar
     No form where noise explains what they have, and of unknown structure, which has none.
     """
     plain = selection.problem.linearize_extended(selection.fit)
-    left, singular, _ = np.linalg.svd(plain.project(alternative_forms(plain, selected)), full_matrices=False)
+    left, singular, _ = svd(plain.project(alternative_forms(plain, selected)))
     forms = left[:, singular > FORM_RANK_TOL]
     forms = forms[:, :0] if selected.cause == UNKNOWN else forms
     along = forms.T @ plain.residual

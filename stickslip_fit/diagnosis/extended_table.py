@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import pluralize
+from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.roles import ORDER, TableRoles
 from stickslip_fit.causes.times import read_times
@@ -112,7 +113,7 @@ def _covariance(jacobian: Array, on_bound: BoolArray) -> tuple[Array, BoolArray]
     columns = jacobian[:, free]
     length = np.linalg.norm(columns, axis=0)
     length = np.where(length > 0, length, 1.0)
-    _, singular, right = np.linalg.svd(columns / length, full_matrices=False)
+    _, singular, right = svd(columns / length)
     lost = singular <= RANK_TOL * singular.max(initial=0.0)
     unknown[free] = np.any(np.abs(right[lost]) > 1e-6, axis=0)
     inverse = (right[~lost].T / singular[~lost] ** 2) @ right[~lost]

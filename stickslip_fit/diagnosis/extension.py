@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.friction import StageCause
 from stickslip_fit.causes.periodic import PeriodicTime
@@ -287,7 +288,7 @@ def _unknown_forms(linearized: LinearizedFit, selected: SelectedCause) -> Array:
         )
         for effects in map(linearized.whiten, changes):
             columns.append(effects / np.maximum(np.linalg.norm(effects, axis=0), EFFECT_TOL))
-    left, singular, _ = np.linalg.svd(np.concatenate(columns, axis=1), full_matrices=False)
+    left, singular, _ = svd(np.concatenate(columns, axis=1))
     most = max(len(linearized) // ROWS_PER_FORM, 1)
     return left[:, singular > MIN_FORM_LENGTH][:, :most]
 
@@ -402,7 +403,7 @@ def alternative_forms(linearized: LinearizedFit, selected: SelectedCause) -> Arr
     shapes = _other_shapes(linearized, selected)
     shapes = [one[:, :: -(-one.shape[1] // MAX_SHAPES)] for one in shapes if one.shape[1]]
     columns = np.concatenate([*shapes, powers / np.where(length > 0, length, 1.0)], axis=1)
-    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    left, singular, _ = svd(columns)
     return left[:, singular**2 > MIN_FORM_SHARE * np.sum(singular**2)][:, :MAX_FORMS]
 
 
@@ -431,7 +432,7 @@ def open_changes(linearized: LinearizedFit, selected: SelectedCause) -> Array:
                 column[rows] = difference[rows]
                 columns.append(column)
     changes = linearized.whiten(np.concatenate(columns, axis=1))
-    left, singular, _ = np.linalg.svd(changes, full_matrices=False)
+    left, singular, _ = svd(changes)
     return left[:, singular > MIN_OPEN]
 
 

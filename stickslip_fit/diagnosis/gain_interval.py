@@ -16,6 +16,7 @@ import numpy as np
 from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import splu
 
+from stickslip_fit._linalg import svd
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.cross_validation import Split
@@ -551,7 +552,7 @@ def fit_extension(
     sizes : array, shape (q, m)
     """
     penalised = np.concatenate([operators.training.subtract(columns), np.diag(penalties)])
-    _, singular, right = np.linalg.svd(penalised, full_matrices=False)
+    _, singular, right = svd(penalised)
     kept = singular > RANK_TOL * singular.max(initial=0.0)
     scaled = right[kept] / singular[kept, None]
     held_out = operators.prediction.subtract(columns)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
+from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.evidence import batch_hypotheses
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
@@ -53,7 +54,7 @@ def assess_support(linearized: LinearizedFit, misfit: Misfit, cause: str) -> Sup
     rows = np.argsort(-influence)[:MAX_INFLUENTIAL]
     indicators = np.zeros((len(linearized), len(rows)))
     indicators[rows, np.arange(len(rows))] = 1.0
-    left, singular, right = np.linalg.svd(linearized.project(indicators), full_matrices=False)
+    left, singular, right = svd(linearized.project(indicators))
     known = singular > 1.0 - MAX_LEVERAGE
     basis = left[:, known]
     smaller = [_leave_out(misfit.hypotheses[k], basis) for k in places]

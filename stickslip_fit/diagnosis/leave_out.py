@@ -17,6 +17,7 @@ from scipy.sparse import coo_array, csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
+from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.evidence import STRENGTHS, log_likelihood_ratio
@@ -107,7 +108,7 @@ class LeftOut:
                 np.concatenate([part.ravel() for part in axis]) for axis in zip(*positions, strict=True)
             )
             roots = csr_array((entries, (row, column)), shape=(len(rows), width))
-        left, singular, _ = np.linalg.svd(roots.T @ border, full_matrices=False)
+        left, singular, _ = svd(roots.T @ border)
         size = singular**2 / np.maximum(1.0 - singular**2, MIN_KNOWN)
         return cls(rows, roots, tuple(blocks), roots @ (left * np.sqrt(size)))
 

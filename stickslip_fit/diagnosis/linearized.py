@@ -20,6 +20,7 @@ import pandas as pd
 from scipy.sparse import csc_array, csr_array, hstack
 from scipy.sparse.linalg import splu
 
+from stickslip_fit._linalg import svd
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.estimation._block_arrow import share_with_all, shared_covariance, solve_block_arrow
@@ -379,7 +380,7 @@ def _stack_blocks(n: int, blocks: Sequence[tuple[IntArray, Array]]) -> csr_array
 
 def _orthonormalize(columns: Array) -> Array:
     length = np.linalg.norm(columns, axis=0)
-    left, singular, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
+    left, singular, _ = svd(columns / np.where(length > 0, length, 1.0))
     return left[:, singular > RANK_TOL * max(float(singular.max(initial=0.0)), np.finfo(float).tiny)]
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.linearized import RANK_TOL
 from stickslip_fit.estimation._groups import group_rows
@@ -317,7 +318,7 @@ class _Traverses:
 def _orthonormalize(columns: Array) -> Array:
     """Orthonormal bases of k sets of columns, (k, m, p); columns that a set lacks are 0."""
     length = np.linalg.norm(columns, axis=1, keepdims=True)
-    left, singular, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
+    left, singular, _ = svd(columns / np.where(length > 0, length, 1.0))
     least = RANK_TOL * np.maximum(singular.max(axis=1, initial=0.0), np.finfo(float).tiny)
     return left * (singular > least[:, None])[:, None]
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import table_library
 from stickslip_fit.causes.generic import GenericCause
@@ -103,7 +104,7 @@ def _leading_directions(effects: Mapping[FiniteEffects, Array], n: int, most: in
     columns = [np.zeros((n, 0)), *(np.concatenate(own, axis=1) for own in by_cause.values())]
     lengths = [float(np.linalg.norm(one)) or 1.0 for one in columns]
     alike = np.concatenate([one / length for one, length in zip(columns, lengths, strict=True)], axis=1)
-    left, singular, _ = np.linalg.svd(alike, full_matrices=False)
+    left, singular, _ = svd(alike)
     known = singular > DIRECTION_TOL * max(float(singular.max(initial=0.0)), MIN_LENGTH)
     return np.asarray(left[:, known][:, :most])
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from stickslip_fit._format import pluralize
+from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.hypotheses import (
     EFFECT_TOL,
@@ -84,7 +85,7 @@ def largest_strength(
 
 def _largest_combination(effects: Array) -> float:
     """Norm of the strongest combination of columns, shape (n, m), none of which is taken more than once."""
-    _, singular, right = np.linalg.svd(effects, full_matrices=False)
+    _, singular, right = svd(effects)
     return float(singular[0] / np.abs(right[0]).max())
 
 

@@ -17,6 +17,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.estimation._groups import Groups
 from stickslip_fit.laws.base import Model
@@ -187,7 +188,7 @@ def factorize(
         share = np.min(eigenvalue, axis=1, initial=np.inf) / greatest
         for group in np.flatnonzero(share < CONDITION_TOL).tolist():
             jacobian, residual = whitened(group, lengths[group])
-            left, singular[group], right = np.linalg.svd(jacobian, full_matrices=False)
+            left, singular[group], right = svd(jacobian)
             vectors[group], projections[group] = right.T, left.T @ residual
     known = singular > rank_tol * np.max(singular, axis=1, keepdims=True, initial=0.0)
     return SingularFactors(lengths, np.where(known, singular, 0.0), vectors, projections)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.estimation._groups import Groups, group_rows
 from stickslip_fit.estimation._optimize import Minimum
@@ -191,7 +192,7 @@ def ratio_changes(law: object, rows: pd.DataFrame, machine: Machine) -> list[tup
         search.evaluate((ratio, *others))
         residuals = [search.residuals[ratio][own] - search.residuals[each][own] for each in others]
         known = [change for change in residuals if np.all(np.isfinite(change))]
-        left, singular, _ = np.linalg.svd(np.array([*known, 0.0 * own]).T, full_matrices=False)
+        left, singular, _ = svd(np.array([*known, 0.0 * own]).T)
         kept = (singular > MIN_CHANGE)[:MAX_CHANGES]
         if kept.any():
             changes.append((own, (left * singular)[:, :MAX_CHANGES][:, kept]))

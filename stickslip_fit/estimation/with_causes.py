@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import format_value
+from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import Cause, ExtendedLaw, explain_missing
 from stickslip_fit.errors import InputError
@@ -171,7 +172,7 @@ def _shrink(effects: Array, remaining: Array, df: int) -> tuple[Array, float, fl
     """
     from scipy.optimize import minimize_scalar
 
-    left, singular, right = np.linalg.svd(effects, full_matrices=False)
+    left, singular, right = svd(effects)
     along = left.T @ remaining
     total = max(float(remaining @ remaining), np.finfo(float).tiny)
     relative = singular / singular[0]
