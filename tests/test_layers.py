@@ -20,7 +20,7 @@ PACKAGE = ROOT / "stickslip_fit"
 LAYERS = (
     ("errors", "_typing"),
     ("units",),
-    ("_io", "_progress", "_threads", "_input", "_format", "_expression", "_function", "_rows"),
+    ("_io", "_progress", "_threads", "_linalg", "_input", "_format", "_expression", "_function", "_rows"),
     ("_export", "_json"),
     ("_summary", "_toml"),
     ("step",),
