@@ -47,6 +47,7 @@ class TableCause(Cause):
     target: str = ""
     constant_beyond: tuple[str, ...] = ()
     joints: ClassVar[tuple[int, ...]] = (1,)
+    takes_functions: ClassVar[bool] = False  # it has one equation, which may be far from the function
     physics: ClassVar[str] = ""
     shows_best: ClassVar[str] = ""
 
