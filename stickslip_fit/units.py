@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from math import pi, prod
+from typing import Self
 
 import numpy as np
 
@@ -38,9 +39,19 @@ class Interval:
 
 
 class TableUnit(str):
-    """The unit of a table's column or parameter, any text: numbers in it are shown as they are."""
+    """The unit of a table's column or parameter, any text: numbers in it are shown as they are.
+
+    Examples
+    --------
+    >>> TableUnit("N"), TableUnit("1")  # a count is shown without
+    ('N', '')
+    """
 
     __slots__ = ()
+
+    def __new__(cls, text: str) -> Self:
+        """The unit of this text."""
+        return super().__new__(cls, "" if text.strip() == "1" else text)
 
 
 PRISMATIC = 3

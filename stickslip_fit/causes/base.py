@@ -86,6 +86,8 @@ class Cause(ABC):
         Whether it concerns the detection of the stop, not the motion before it.
     max_panel : float
         Widest integration panel that resolves it along a traverse, rad or m.
+    takes_functions : bool
+        Whether a smooth function of its only column, whatever its form, is this cause, see `with_functions`.
     search_note : str
         What the search for it leaves out, as a sentence; empty where it leaves out nothing.
     share_where_noise_persists : float
@@ -114,6 +116,7 @@ class Cause(ABC):
     affects_stop_only: ClassVar[bool] = False
     max_trial_factor: ClassVar[float] = 10.0
     max_panel: float = np.inf
+    takes_functions: ClassVar[bool] = True
     search_note: ClassVar[str] = ""
     share_where_noise_persists: ClassVar[float] = 1.0
 

@@ -352,6 +352,7 @@ class ColumnDependence(CovariateCause, AddedTerm):
     order: int = COVARIATE_ORDER
     amplitude: float | None = None
 
+    takes_functions = True
     base_phrase = "the response follows a column of the table"
     physics = "Whatever the column stands for; the table alone shows that the response follows it smoothly."
     shows_best = "one condition at the lowest and at the highest values of the column"

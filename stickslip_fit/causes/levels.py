@@ -112,6 +112,11 @@ class LevelCause(CovariateCause):
     adds_to_simpler: ClassVar[bool] = False  # whether a version with fewer parameters does nearly the same
 
     @property
+    def texts(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `TableCause`."""
+        return (self.column,)
+
+    @property
     def remedy(self) -> str:  # type: ignore[override]
         """See `GenericCause`."""
         return f"calibrating for each {self.column}"

@@ -39,14 +39,18 @@ class TableCause(Cause):
         the response, or multiplies it.
     target : str
         The column that it replaces.
+    texts : tuple of str
+        Columns whose values it takes for names, be they numbers or not.
     constant_beyond : tuple of str
         Columns beyond whose known values the effect is what it is at the last of them.
     """
 
     stage: Stage = "term"
     target: str = ""
+    texts: tuple[str, ...] = ()
     constant_beyond: tuple[str, ...] = ()
     joints: ClassVar[tuple[int, ...]] = (1,)
+    takes_functions: ClassVar[bool] = False  # it has one equation, which may be far from the function
     physics: ClassVar[str] = ""
     shows_best: ClassVar[str] = ""
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._typing import Array
 from stickslip_fit.causes.generic import (
     COVARIATE_ORDER,
     POSITION_ORDER,
@@ -37,6 +38,7 @@ from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, direction_labels
 from stickslip_fit.causes.zeros import zero_causes
 
 NO_NAME = re.compile(r"column \d+|Unnamed: \d+")  # as here and by pandas
+SAME_TIME = 1e-9  # of a correlation, from which a column is the time
 MAX_SESSIONS = 50  # that may each have an offset of their own
 
 
@@ -113,12 +115,32 @@ def explain_unusable(rows: pd.DataFrame, law: Any, name: str) -> str | None:
             return "it is the same in every row"
         if NO_NAME.fullmatch(name) and len(np.unique(values)) == len(values) and np.all(values % 1 == 0):
             return "it has no name, and numbers the rows; give it a name if it means anything"
+        if _is_time(values, rows, law):
+            return "it counts up with the time, beside which it is no cause of its own"
     elif reason := explain_unusable_levels(cells):
         return reason
     own = len(law.parameters) > law.n_shared
     if own and (cells.astype(object).groupby(rows["session"].to_numpy()).nunique() < 2).all():
         return "it is the same within every session, and each session has parameters of its own"
     return None
+
+
+def _is_time(values: Array, rows: pd.DataFrame, law: Any) -> bool:
+    """Whether a column is the time in another unit, or numbers the rows in its order; of shape (n,).
+
+    Of several sessions with shared parameters it may tell what changes from one to the next.
+    """
+    seconds, session = rows["session_seconds"].to_numpy(float), rows["session"].to_numpy(object)
+    several = len(np.unique(session)) > 1
+    if not np.isfinite(seconds).all() or (several and law.n_shared):
+        return False
+    within = pd.DataFrame({"values": values, "seconds": seconds}).groupby(session)
+    steps = within["values"].diff().dropna()
+    if np.all(values % 1 == 0) and (steps > 0).all() and steps.median() == 1:
+        return True
+    column, time = ((within[name].transform(lambda own: own - own.mean())) for name in ("values", "seconds"))
+    size = float(np.linalg.norm(column) * np.linalg.norm(time))
+    return size > 0 and abs(float(column @ time)) > (1.0 - SAME_TIME) * size
 
 
 def is_numeric(cells: pd.Series[Any]) -> bool:

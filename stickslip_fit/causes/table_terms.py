@@ -20,6 +20,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes import proposed
 from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.generic import AddedTerm, GenericCause, Term, linear_term
+from stickslip_fit.causes.levels import name_levels
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.causes.smooth import cosines, harmonics, wave_products
 from stickslip_fit.causes.table_cause import Effect, Stage
@@ -40,7 +41,7 @@ class SmoothTableTerm(GenericCause):
     limits : tuple of (float, float)
         Range of each; beyond it the function is constant.
     orders : tuple of tuple of int
-        Of each function, the order of its cosine in each carrier.
+        Of each function, the order of its cosine in each carrier; 0 where it does not depend on it.
     sds : tuple of float
         Prior standard deviation of each function's coefficient, in the unit of the response.
     response : str
@@ -116,6 +117,8 @@ class SmoothTableTerm(GenericCause):
             cosines(one, low, high, max(order[place] for order in self.orders))
             for place, (one, (low, high)) in enumerate(zip(values, self.limits, strict=True))
         ]
+        # Of order 0, which `wave_products` looks for before the first one, at the end.
+        waves = [np.concatenate([one, np.ones((len(one), 1))], axis=1) for one in waves]
         return wave_products(waves, self.orders)
 
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
@@ -204,6 +207,66 @@ class CourseTerm(SmoothTableTerm):
         ((low, high),), degrees = self.limits, [k for (k,) in self.orders]
         place = np.clip((np.asarray(rows["session_seconds"], float) - low) / (high - low), 0.0, 1.0)
         return np.asarray(legvander(2.0 * place - 1.0, max(degrees))[:, degrees])
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettingsTerm(SmoothTableTerm):
+    """A value of its own for each setting of some columns, of one size for all; 0 at any other setting.
+
+    Attributes
+    ----------
+    levels : tuple of str
+        The settings, as of `name_settings`.
+    """
+
+    levels: tuple[str, ...]
+
+    base_name = "settings-term"
+    base_phrase = "the response differs between settings as no cause describes"
+    physics = "Whatever differs between them: replicates of a setting agree better than they do with the law."
+    shows_best = "replicates of each setting"
+    constant_beyond = ()
+
+    @property
+    def texts(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `TableCause`."""
+        return self.carriers
+
+    @property
+    def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
+        """See `Cause`."""
+        unit, where = TableUnit(self.unit), f"offset where {', '.join(self.carriers)} are"
+        return tuple(
+            CauseParameter(f"c{number}", unit, f"{where} {level}", prior_sd=sd)
+            for number, (level, sd) in enumerate(zip(self.levels, self.sds, strict=True), 1)
+        )
+
+    @classmethod
+    def of(cls, carriers: tuple[str, ...], levels: Array, **attributes: Any) -> Self:
+        """For the settings, shape (m,), of some columns."""
+        return cls(
+            carriers=carriers,
+            levels=tuple(map(str, levels)),
+            limits=(),
+            orders=tuple((k,) for k in range(1, len(levels) + 1)),
+            sds=(1.0,) * len(levels),
+            **attributes,
+        )
+
+    def _waves(self, rows: Rows, prediction: Array | None) -> Array:
+        """Whether each row has each setting."""
+        return (name_settings(rows, self.carriers)[:, None] == np.array(self.levels)) * 1.0
+
+
+def name_settings(rows: Rows, columns: Sequence[str]) -> Array:
+    """What the columns are set to in each row, shape (n,).
+
+    Examples
+    --------
+    >>> name_settings({"d": np.array([1.0, 2.5]), "tube": ["wide", "wide"]}, ["d", "tube"]).tolist()
+    ['1, wide', '2.5, wide']
+    """
+    return np.array(list(map(", ".join, zip(*(name_levels(rows[name]) for name in columns), strict=True))))
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,12 @@ from stickslip_fit._format import (
 )
 from stickslip_fit.causes.roles import ORDER, ROW_NUMBER
 from stickslip_fit.causes.table_terms import PREDICTION
-from stickslip_fit.diagnosis._unknown_summary import describe_stand_in, name_findings
+from stickslip_fit.diagnosis._unknown_summary import (
+    PERIOD_OF,
+    SETTINGS_OF,
+    describe_stand_in,
+    name_findings,
+)
 from stickslip_fit.diagnosis._words import Words, lower_first
 from stickslip_fit.diagnosis.autocorrelation import MEDIAN_OF_NORMAL
 from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, TO_SOME_EXTENT, Finding, TableInfo, shown_size
@@ -138,8 +143,13 @@ class TableWords(Words):
         if finding.term:
             sizes = ", ".join([finding.term, *_list_sizes(finding)])
             return f"{text}; a term is proposed: {sizes}{self.describe_way(finding)}"
-        wave = "wave" if finding.carrier.startswith("period of ") else "smooth function of it"
-        return f"{text}; a {wave} is proposed{self.describe_way(finding)}"
+        several = len(getattr(finding.version, "carriers", ())) > 1
+        what = f"a smooth function of {'both' if several else 'it'}"
+        if finding.carrier.startswith(PERIOD_OF):
+            what = "a wave"
+        elif finding.carrier.startswith(SETTINGS_OF):
+            what = "an offset for each"
+        return f"{text}; {what} is proposed{self.describe_way(finding)}"
 
     def _describe_gain(self) -> str:
         """What the named causes gain together; of what has no name, what to do about it."""
@@ -330,11 +340,15 @@ def describe_table_carrier(carrier: str, table: TableInfo) -> str:
     >>> table = TableInfo("F", "N", 1.0, 600, 600.0, roles={"time": "t", "group": "Lot"})
     >>> describe_table_carrier("time", table), describe_table_carrier("memory", table)
     ('changes slowly with time', 'carries over from one row to the next')
+    >>> describe_table_carrier("settings of d and tube", table)
+    'differs between settings of d and tube'
     >>> describe_table_carrier("group", table), describe_table_carrier("covariate:T to some extent", table)
     ('follows Lot', 'follows T to some extent')
     """
-    if carrier.startswith("period of "):
+    if carrier.startswith(PERIOD_OF):
         return f"comes and goes with a {carrier}"
+    if carrier.startswith(SETTINGS_OF):
+        return f"differs between {carrier}"
     if carrier == "memory":
         return "carries over from one row to the next"
     if carrier in ("time", "time, the same in each session") and table.roles.get("time"):

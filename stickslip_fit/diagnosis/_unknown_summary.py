@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from stickslip_fit.diagnosis import Diagnosis
 
 POSITION, LOAD = "position", "load"
+PERIOD_OF, SETTINGS_OF = "period of ", "settings of "  # with which some carriers begin
 MIN_EXPLAINED, MAX_EXPLAINING = 0.05, 5  # share of a structure; causes in the table
 MIN_CLOSE = 0.1  # share of a structure that a cause explains, from which it is called close
 MIN_BENT = 0.1  # share of a structure that a cause explains only bent, from which that is told
@@ -115,7 +116,11 @@ def name_finding(finding: Finding) -> str:
         return finding.cause
     if finding.term:
         return f"{UNKNOWN}: proposed term"
-    return f"{UNKNOWN}: {'wave' if finding.carrier.startswith('period of ') else 'smooth function'}"
+    forms = {PERIOD_OF: "wave", SETTINGS_OF: "offsets by setting"}
+    form = next(
+        (name for begin, name in forms.items() if finding.carrier.startswith(begin)), "smooth function"
+    )
+    return f"{UNKNOWN}: {form}"
 
 
 def name_findings(findings: Sequence[Finding]) -> list[str]:
@@ -221,6 +226,8 @@ def describe_lag(finding: Finding) -> str:
 
 def describe_stand_in(finding: Finding) -> str:
     """What a proposal is to be replaced by, as a clause: that for which it stands."""
+    if finding.carrier.startswith(SETTINGS_OF):
+        return f"the offsets stand for{_name_closest(finding)}"
     return f"the {'term' if finding.term else 'function'} stands for{_name_closest(finding)}"
 
 

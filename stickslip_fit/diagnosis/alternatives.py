@@ -140,7 +140,8 @@ def attribute_to_causes(
     owner: dict[str, Any] = {}
     for cause in problem_causes:
         for name in cause.columns:
-            owner[name] = None if name in owner or len(cause.columns) > 1 else cause
+            is_only = name not in owner and len(cause.columns) == 1
+            owner[name] = cause if is_only and cause.takes_functions else None
     attributed: list[Hypothesis | AR1] = []
     for one in alternatives:
         cause = owner.get(one.cause.removeprefix("unknown:"))

@@ -42,6 +42,7 @@ from stickslip_fit.units import Z_95, Interval
 MIN_SQUARE = 1e-300
 NORMAL_SCORES = ndtri((np.arange(400) + 0.5) / 400)  # a standard normal distribution, by its quantiles
 CREDIBLE = 0.95
+MIN_RIVAL = 0.05  # probability of a rival that is told, even if other data of this design would exclude it
 
 
 def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float) -> tuple[Finding, ...]:
@@ -77,6 +78,7 @@ def _size_cause(selection: Selection, selected: SelectedCause, covariance: Array
         rival
         for rival in selected.cause_set.rivals
         if rival in selected.cause_set.by_refit
+        or selected.cause_set.probability.get(rival, 0.0) >= MIN_RIVAL
         or not is_distinguishable(misfit.best_hypothesis(selected.cause), misfit, rival, strength)
     )
     parameters = _size_parameters(selected.version, selected.cause, values, covariance[place, place])

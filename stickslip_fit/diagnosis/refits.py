@@ -27,6 +27,7 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 
 # Nats of a cause that is refitted before one is named, and the share of the largest evidence that it has.
 MIN_REFIT_LOG_BAYES_FACTOR, MIN_REFIT_SHARE = 10.0, 0.3
+INSIDE_SET = 0.99  # of the nats within which causes make up a set
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +67,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
     if not (likeliest := misfit.rank_causes(least)[: problem.n_refits]):
         return Refits(misfit, starts, extensions)
     before, likelihoods = problem.linearize_extended(fit_causes(problem, selected)), dict[str, float]()
+    of_moments: dict[str, float] = {}
     residuals: dict[str, Array] = {}
     for cause in likeliest:
         trial = make_selected(misfit, form_cause_set(misfit, cause))
@@ -91,9 +93,13 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
         if problem.autocorrelation is not None and len(likeliest) > 1:
             one = replace(one, start=starts.get(cause, one.start))
             extensions[cause] = extended, fit, _ = extend_problem(problem, [*selected, one])
-            likelihoods[cause] = penalised_likelihood(extended, fit)
+            likelihoods[cause], of_moments[cause] = penalised_likelihood(extended, fit), price_moments(fit)
     if likelihoods:
         highest, best = max(evidence[cause] for cause in likelihoods), max(likelihoods.values())
+        # A moment where something else changes, too, is one of fewer: its price alone excludes no cause.
+        inside = best - INSIDE_SET * CAUSE_SET_LOG_BAYES_FACTOR
+        for cause, value in likelihoods.items():
+            likelihoods[cause] = max(value, min(value + of_moments[cause], inside))
         evidence |= {cause: highest + likelihoods[cause] - best for cause in likelihoods}
     evidence = {cause: value for cause, value in evidence.items() if cause not in failed}
     evidence, inconsistent = _compare_sessions(problem, evidence, residuals, extensions)
@@ -135,11 +141,20 @@ def _compare_sessions(
 def penalised_likelihood(problem: DiagnosisProblem, fit: ExtendedFit) -> float:
     """Log likelihood of laws with causes, less what the Bayesian information criterion takes.
 
-    It counts the causes' parameters, of those with a prior only what the data determine. The coefficients of
-    the noise are no part of the law.
+    It counts the causes' parameters, of those with a prior only what the data determine, and a moment of
+    sudden change twice, which is one of as many as there are rows (N. R. Zhang and D. O. Siegmund, Biometrics
+    63:22, 2007). The coefficients of the noise are no part of the law.
     """
     determined = 1.0 - np.diag(fit.covariance) / fit.prior_sd**2
-    return problem.log_likelihood(fit) - 0.5 * float(np.sum(determined)) * float(np.log(len(problem)))
+    price = 0.5 * float(np.sum(determined)) * float(np.log(len(problem)))
+    return problem.log_likelihood(fit) - price - price_moments(fit)
+
+
+def price_moments(fit: ExtendedFit) -> float:
+    """What moments of sudden changes take in a fit, beyond what any other parameter does."""
+    causes = getattr(fit.parts[0].law, "causes", ())
+    moments = sum(parameter.sudden for cause in causes for parameter in cause.parameters)
+    return 0.5 * moments * float(np.log(len(fit.residual)))
 
 
 def refine_trial(one: SelectedCause, before: LinearizedFit) -> SelectedCause:

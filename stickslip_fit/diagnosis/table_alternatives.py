@@ -2,6 +2,9 @@
 
 Smooth in every column that the law or a candidate uses, in every two of them at low order, in the predicted
 response, each also oppositely in the two directions; by group where rows repeat; smooth or periodic in time.
+Where settings of columns were repeated, each may have a value of its own, whatever the law: replicates tell
+what is no noise (the lack-of-fit test; G. E. P. Box and N. R. Draper, Empirical Model-Building and Response
+Surfaces, 1987, section 3.12).
 In a sampled signal a slow wave of one session cannot be told from its noise, which the autocorrelation
 describes, so that only what comes back in every session counts there. `TableAlternatives.expressions` are
 the short expressions that may take the place of such a function in the law.
@@ -9,7 +12,7 @@ the short expressions that may take the place of such a function in the law.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from itertools import combinations, product
 from typing import Any
@@ -17,6 +20,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from stickslip_fit._format import join_words
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.roles import TableRoles, direction_labels, direction_sign
 from stickslip_fit.causes.smooth import LENGTHS, prior_sds
@@ -26,7 +30,9 @@ from stickslip_fit.causes.table_terms import (
     CourseTerm,
     PeriodicTableTerm,
     ProposedTableTerm,
+    SettingsTerm,
     SmoothTableTerm,
+    name_settings,
 )
 from stickslip_fit.diagnosis.alternatives import MAX_ELEMENTS, choose_periods, smooth_in_time
 from stickslip_fit.diagnosis.expressions import Dictionary
@@ -45,6 +51,8 @@ PAIR_LENGTH, MAX_PAIR_COLUMNS = 0.4, 7  # correlation length of a function of tw
 MIN_SESSIONS = 3  # for what comes back in every session of a sampled signal
 MIN_CYCLES = 2.5  # of a periodic disturbance in a session of a sampled signal
 N_SLOW, PERIODS_PER_CYCLE = 120, 4.0  # periods of rows at uneven times; for each cycle more in the record
+# Of the rows, those that repeat a setting; settings.
+MIN_REPEATED, MAX_SETTINGS = 1.0 / 3.0, 150
 MIN_RATIO = 2.0  # of the largest to the smallest value of a column, whose logarithm is tried
 
 
@@ -61,6 +69,8 @@ class TableAlternatives:
         Whether the autocorrelation of the noise is removed.
     response, unit : str
         Name and unit of the response.
+    settings : tuple of tuple of str
+        Columns whose settings were repeated.
     course_degree : int
         Of each session's own course in time that is told from noise that persists; 0 without.
     labels : tuple of str
@@ -73,6 +83,7 @@ class TableAlternatives:
     response: str
     unit: str
     labels: tuple[str, ...] = ()
+    settings: tuple[tuple[str, ...], ...] = ()
     course_degree: int = 0
 
     @classmethod
@@ -82,12 +93,15 @@ class TableAlternatives:
         """For the rows of a table, a law, and further columns that candidates use."""
         labels = direction_labels(rows[roles.direction]) if roles.direction else ()
         columns = numeric_columns(rows, law, roles, covariates)
-        return cls(columns, roles, sampled, str(law.response_name), str(law.response_unit), labels)
+        settings = tuple(find_settings(rows, numeric_columns(rows, law, roles, ()), roles, covariates))
+        response, unit = str(law.response_name), str(law.response_unit)
+        return cls(columns, roles, sampled, response, unit, labels, settings)
 
     def __call__(self, linearized: LinearizedFit) -> list[Hypothesis | AR1]:
         """Every alternative for which the rows have the columns."""
         waves = self._waves(linearized) if self.roles.time else []
-        return [*self.shapes(linearized), *self._beside_white_noise(linearized), *waves]
+        shapes = [*self.shapes(linearized), *self._jointly(linearized)]
+        return [*shapes, *self._beside_white_noise(linearized), *waves]
 
     def shapes(self, linearized: LinearizedFit) -> list[Hypothesis | AR1]:
         """Those without a period."""
@@ -124,13 +138,19 @@ class TableAlternatives:
                 if len(sds) == distinct - 1:
                     break
         sds = prior_sds(PAIR_LENGTH)
-        for one, other in combinations(list(values)[:MAX_PAIR_COLUMNS], 2):
-            limits_of = [(float(values[name].min()), float(values[name].max())) for name in (one, other)]
-            if any(low == high for low, high in limits_of):
-                continue
+        for names, both in self._pairs(values):
             pairs = tuple(product(range(1, len(sds) + 1), repeat=2))
             own_sds = tuple(float(sds[first - 1] * sds[last - 1]) for first, last in pairs)
-            yield f"{one} and {other}", self._smooth((one, other), tuple(limits_of), pairs, own_sds)
+            yield " and ".join(names), self._smooth(names, both, pairs, own_sds)
+
+    def _pairs(
+        self, values: Mapping[str, Array]
+    ) -> Iterator[tuple[tuple[str, str], tuple[tuple[float, float], ...]]]:
+        """Every two of the columns, by their values, and the limits of both."""
+        for names in combinations(list(values)[:MAX_PAIR_COLUMNS], 2):
+            limits = tuple((float(values[name].min()), float(values[name].max())) for name in names)
+            if all(low < high for low, high in limits):
+                yield names, limits
 
     def _smooth(self, carriers: Any, limits: Any, orders: Any, sds: Any) -> SmoothTableTerm:
         return SmoothTableTerm(
@@ -152,6 +172,25 @@ class TableAlternatives:
             make_hypothesis(f"unknown:{name}", None, None, linearized.project(linearized.whiten(columns)))
             for name, columns in shapes
         ]
+
+    def _jointly(self, linearized: LinearizedFit) -> Iterator[Hypothesis]:
+        """What columns do together: any function of two, a value for each setting that was repeated."""
+        values = {name: np.asarray(linearized.columns[name], float) for name in self.columns}
+        sds = np.array([1.0, *prior_sds(PAIR_LENGTH)])  # of order 0: of an rms of 1, too
+        orders = tuple(product(range(len(sds)), repeat=2))[1:]
+        own_sds = tuple(float(sds[first] * sds[last]) for first, last in orders)
+        terms: list[tuple[str, SmoothTableTerm]] = [
+            (" and ".join(names), self._smooth(names, limits, orders, own_sds))
+            for names, limits in self._pairs(values)
+        ]
+        for columns in self.settings:
+            levels = np.unique(name_settings(linearized.columns, columns))
+            each = SettingsTerm.of(columns, levels, response=self.response, unit=self.unit)
+            terms.append((f"settings of {join_words(columns)}", each))
+        for name, term in terms:
+            effects = linearized.project(linearized.whiten(term.functions(linearized.columns) * term.sds))
+            if one := make_hypothesis(f"unknown:{name}", term, None, effects):
+                yield one
 
     def _in_time(self, linearized: LinearizedFit) -> list[Hypothesis | AR1 | None]:
         rows, sessions = linearized.rows, list(split_sessions(linearized).values())
@@ -321,6 +360,27 @@ def numeric_columns(
     position = [roles.position] if roles.position else []
     names = dict.fromkeys([*position, *own, *covariates])
     return tuple(name for name in names if pd.api.types.is_numeric_dtype(rows[name]))
+
+
+def find_settings(
+    rows: pd.DataFrame, own: Sequence[str], roles: TableRoles, covariates: Sequence[str]
+) -> Iterator[tuple[str, ...]]:
+    """Columns whose settings were repeated: a law's `own`, with each other column, and with all of them."""
+    law = [*own, *([roles.direction] if roles.direction else [])]
+    sets = [law, *([*law, name] for name in covariates), [*law, *covariates]]
+    known = set[tuple[int, ...]]()
+    for columns in dict.fromkeys(map(tuple, sets)):
+        if len(columns) < 2:  # of one column a smooth function has as many values
+            continue
+        place, names = pd.factorize(name_settings(rows, columns))
+        repeated = len(rows) - len(names)
+        if (
+            1 < len(names) <= MAX_SETTINGS
+            and repeated >= MIN_REPEATED * len(rows)
+            and tuple(place) not in known
+        ):
+            known.add(tuple(place))
+            yield columns
 
 
 def response_columns(law: Any) -> tuple[str, ...]:

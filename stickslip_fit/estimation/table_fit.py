@@ -194,7 +194,7 @@ class TableFit(Summarized):
         texts = {self.roles.direction, self.roles.group, self.roles.session}
         texts |= {getattr(getattr(cause, "source", None), "by", None) for cause in self._causes}
         levels = [cause for cause in self._causes if isinstance(cause, LevelCause)]
-        texts |= {cause.column for cause in levels}
+        texts |= {name for cause in self._causes for name in cause.texts}
         numbers = [name for name in needed if name not in (*OWN_COLUMNS, *texts)]
         has_own = self.n_own > 0 or "session" in self.law.columns or any(one.session for one in self._causes)
         roles = replace(

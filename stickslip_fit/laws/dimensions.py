@@ -1,6 +1,6 @@
 """Whether declared units fit together: what is added has one unit, functions take numbers, both sides agree.
 
-Numbers are never converted, so that mm and m are different units here. A whole number or a half has no unit;
+Units are never converted, so that mm and m are different units here. A whole number or a half has no unit;
 any other number, and one that is added, has whatever unit is needed (9.81).
 """
 
@@ -23,6 +23,10 @@ _OF_NUMBERS = ("exp", "log1p", "expm1", "sinh", "cosh", "tanh", "arcsin", "arcco
 _OF_ANGLES = ("sin", "cos", "tan")
 _ANY = None  # the unit of a number that may have any
 SCALE_TOL = 1e-9
+NOT_CONVERTED = (
+    "units are not converted: a factor that converts one is written as a number with decimals, which may "
+    "have any unit (0.001 * in place of / 1000, 0.0174533 * in place of pi / 180 *)"
+)
 
 
 def check_dimensions(
@@ -115,7 +119,7 @@ class _Dimensions:
         factor = ""
         if unit.is_compatible_with(wanted):
             ratio = unit.to_base_units().magnitude / wanted.to_base_units().magnitude
-            factor = f", which is another unit by a factor of {ratio:.6g}; numbers are not converted"
+            factor = f", which is another unit by a factor of {ratio:.6g}; {NOT_CONVERTED}"
         raise InputError(
             f"the units of {self.where!r} do not agree: {ast.unparse(node)} is {_show(unit)}, "
             f"{other} is {_show(wanted)}{factor}"
@@ -187,9 +191,10 @@ class _Dimensions:
     def _require_number(self, name: str, node: ast.expr, unit: str = "a number without a unit") -> None:
         own = self.unit(node)
         if own is not _ANY and not _agree(own, self._number()):
+            way_out = f"; {NOT_CONVERTED}" if own.dimensionless else ""
             raise InputError(
                 f"the units of {self.where!r} do not agree: {name} takes {unit}, and {ast.unparse(node)} "
-                f"is {_show(own)}"
+                f"is {_show(own)}{way_out}"
             )
 
 

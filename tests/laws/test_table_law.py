@@ -180,8 +180,8 @@ BAD = {
     "other": (dict(formula="F ~ a*exp(b + c*vel)"), "a change of (a and b|b and a) together"),
     "no effect": (dict(formula="F ~ a*step(vel - 100) + b"), "a has no effect on any row"),
     "units": (dict(formula="F ~ M*acc", units=units("M acc", F="V")), "M \\* acc is kg m/s\\^2, F is V"),
-    "factor": (dict(formula="F ~ M*acc", units=units("M acc", F="mN")), "by a factor of 1000"),
-    "degrees": (dict(formula="F ~ Fc*sin(vel)", units=units("F Fc", vel="deg")), "sin takes rad, and vel"),
+    "factor": (dict(formula="F ~ M*acc", units=units("M acc", F="mN")), "factor of 1000; .*0.001 \\* in"),
+    "degrees": (dict(formula="F ~ Fc*sin(vel)", units=units("F Fc", vel="deg")), "takes rad.*; .*0.01745"),
     "sums": (dict(formula="F ~ Fc*abs(acc + vel)", units=units("F Fc acc vel")), "vel is m/s, acc is"),
     "exponent": (dict(formula="F ~ Fc*exp(-t/tau)", units=units("F Fc", t="s", tau="min")), "tau is s/min"),
     "not finite": (dict(formula="F ~ a*log(vel)"), "first in row \\d+ of the table \\(vel = -.*a = "),
@@ -200,6 +200,12 @@ def test_a_law_that_cannot_be_used_gets_one_message(frame, case):
     frame = frame.assign(x=frame.vel)
     with pytest.raises(InputError, match=message):
         Law(**fields).bind_table(frame)
+
+
+def test_a_number_with_decimals_converts_units_and_a_count_has_none(frame):
+    degrees = Law("F ~ Fc*sin(0.0174533*vel)", units=units("Fc", F="1", vel="deg") | {"Fc": "1"})
+    bound = degrees.bind_table(frame)
+    assert (bound.response_unit, bound.parameters[0].unit) == ("", "")
 
 
 def test_what_is_the_same_within_every_session_is_told_apart_only_if_shared(frame):

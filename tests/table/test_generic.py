@@ -177,3 +177,51 @@ def test_levels_that_are_tried_at_once_change_what_each_trial_alone_does():
         np.testing.assert_allclose(change, alone, atol=1e-12)
     assert np.ptp(changes[0]) > 0
     assert not changes[4].any()
+
+
+def jump(n=120, at=80):
+    rng = np.random.default_rng(1)
+    x = rng.choice([10.0, 20.0, 50.0], n)
+    y = 2.0 + x + 1.0 * (np.arange(n) >= at) + 0.4 * rng.standard_normal(n)
+    return pd.DataFrame({"x": x, "y": y})
+
+
+@pytest.mark.parametrize(
+    ("column", "time"),
+    [
+        (lambda rows: np.arange(1, 121), "order"),
+        (lambda rows: np.arange(120) + (np.arange(120) > 50), "order"),  # a number that was left out
+        (lambda rows: 100.0 - rows["t"] / 60.0, "t"),
+    ],
+    ids=["row number", "a number left out", "the time in another unit"],
+)
+def test_a_column_that_is_the_time_takes_no_evidence_from_it(column, time):
+    rows = jump().assign(t=np.cumsum(np.random.default_rng(2).uniform(5.0, 9.0, 120)))
+    rows = rows.assign(no=column(rows)) if time == "t" else rows.drop(columns="t").assign(no=column(rows))
+    found, alone = (
+        ssf.diagnose_table(frame, "y ~ a + x", time=time, gain=False)
+        for frame in (rows, rows.drop(columns="no"))
+    )
+    assert found.findings[0].cause == "sudden-change"
+    assert found.inclusion["sudden-change"] == alone.inclusion["sudden-change"] > 0.9
+    assert "no cause of its own" in found.untestable["covariate:no"]
+
+
+def test_without_a_time_a_column_that_numbers_the_rows_is_a_column_like_others():
+    rows = jump()
+    found = ssf.diagnose_table(rows.assign(no=np.arange(120)), "y ~ a + x", gain=False)
+    assert [one.cause for one in found.findings] == ["covariate:no"]
+
+
+def test_a_constant_is_ahead_of_a_change_after_few_rows_and_every_likely_cause_is_told():
+    """A background that the law of a decay lacks; a change 70 s after the first row fits as well."""
+    rng, t = np.random.default_rng(2), 20.0 * np.arange(90)
+    counts = (8400.0 * np.exp(-t / 220.0) + 120.0 + 30.0 * rng.standard_normal(90)).round()
+    frame = pd.DataFrame({"t_s": t, "counts": counts})
+    found = ssf.diagnose_table(frame, "counts ~ N0*exp(-t_s/tau)", time="t_s", gain=False)
+    (finding,) = found.findings
+    assert finding.cause_set == ("offset", "sudden-change", "warm-up")
+    likely = {cause for cause in finding.cause_set if found.inclusion[cause] > 0.05}
+    assert likely == set(finding.cause_set)
+    said = " ".join(str(found).split("If it is the first")[0].split())
+    assert all(f"({cause})" in said for cause in likely)
