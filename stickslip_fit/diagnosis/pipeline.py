@@ -177,6 +177,12 @@ def diagnose_problem(
             p_value = min(p_value, found.p_value)
         elif len(back := explain_outliers(found, problem, aside)):
             next_aside = np.setdiff1d(aside, back)
+        elif len(found.outliers):
+            out = np.union1d(aside, kept[found.outliers])
+            hidden = find_gross_errors(problem, GROSS_ALPHA_SHARE * alpha, out)
+            if not len(hidden.rows):
+                break
+            next_aside, p_value = np.union1d(out, hidden.rows), min(p_value, found.p_value)
         else:
             break
     selection = settle_noise(with_gross_errors(found, len(problem), aside, p_value))
