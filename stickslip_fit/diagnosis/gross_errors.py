@@ -159,6 +159,7 @@ def set_aside(problem: DiagnosisProblem, rows: IntArray) -> DiagnosisProblem:
     smaller = trimmed.without_rows(rows)
     linearized, drive = smaller.linearize(), smaller.noise_group
     squares = (linearized.residual * smaller.scale) ** 2 - (1.0 - linearized.leverage) * smaller.rounding
+    squares /= np.square(smaller.relative_sd)
     df = np.bincount(drive, 1.0 - linearized.leverage, len(problem.repeatability))
     total = np.bincount(drive, squares, len(problem.repeatability))
     pooled = max(total.sum() / max(df.sum(), 1.0), np.finfo(float).tiny)
@@ -210,12 +211,12 @@ def _robust_scale(residual: Array, problem: DiagnosisProblem) -> Array:
 
     Where most rows are equal, as many zeros are, a law may run through all of them, so that the median is 0.
     """
-    size, drive = np.abs(residual), problem.noise_group
+    size, drive = np.abs(residual) / problem.relative_sd, problem.noise_group
     pooled = max(float(np.median(size)), np.finfo(float).tiny)
     median = np.full(int(drive.max()) + 1, pooled)
     for number in np.unique(drive):
         median[number] = max(float(np.median(size[drive == number])), MIN_RELATIVE_SD * pooled)
-    return np.maximum(median[drive] / UNIT_MEDIAN, MIN_SCALE * problem.scale)
+    return np.maximum(median[drive] * problem.relative_sd / UNIT_MEDIAN, MIN_SCALE * problem.scale)
 
 
 def _merge_sessions(part: LawBlock, drive: IntArray) -> LawBlock:

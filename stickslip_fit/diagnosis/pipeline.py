@@ -188,13 +188,12 @@ def diagnose_problem(
     selection = settle_noise(with_gross_errors(found, len(problem), aside, p_value))
     findings = size_findings(selection, problem, alpha) if selection.p_value < alpha else ()
     searched = selection.problem
-    row_sd = searched.repeatability[searched.noise_group] * searched.noise_ratio
     return Diagnosis(
         verdict=choose_verdict(findings),
         findings=findings,
         p_value=selection.p_value,
         misfit=_rms_left(search),
-        repeatability=np.nan if search.too_small else rms(row_sd),
+        repeatability=np.nan if search.too_small else rms(searched.noise_sd),
         inclusion=_inclusion_probabilities(selection, search.problem, search.untestable, alpha),
         untestable=search.untestable,
         alpha=alpha,

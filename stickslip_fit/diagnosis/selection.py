@@ -422,6 +422,7 @@ def explain_outliers(selection: Selection, problem: DiagnosisProblem, outliers: 
     departure = predict_departures(selection, problem, outliers)
     # Of a joint and direction with few rows the repeatability may be far too small.
     noise = selection.expected.repeatability[problem.noise_group[outliers]]
+    noise = noise * np.broadcast_to(problem.relative_sd, len(problem))[outliers]
     free = 1.0 - np.minimum(problem.linearize().leverage[outliers], MAX_LEVERAGE)
     sd = np.sqrt((noise**2 + problem.rounding[outliers]) / free)  # of predictions by the other rows
     return outliers[(departure != 0) & (np.abs(departure) < OUTLYING_SD * sd)]
