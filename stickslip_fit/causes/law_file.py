@@ -106,6 +106,7 @@ class RolesTable(TomlTable):
     position: Text | None = None
     direction: Text | None = None
     group: Text | None = None
+    sigma: Text | None = None
 
 
 class FormulaFile(FormulaLawTable):

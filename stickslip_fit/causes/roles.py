@@ -1,4 +1,4 @@
-"""TableRoles: which columns of a table are its session, time, position, direction and group; the time's unit.
+"""TableRoles: which columns of a table are its session, time, position, direction, group and sigma.
 
 `prepare_rows` checks what the roles and a law need of a table, and returns its rows as causes see them: in
 order of time within each session, with the columns ``session`` (text), ``session_seconds`` (time since the
@@ -20,7 +20,7 @@ from stickslip_fit.causes.times import AMBIGUOUS, read_times
 from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.laws.table import mistyped_column
 
-ROLES = ("session", "time", "position", "direction", "group")
+ROLES = ("session", "time", "position", "direction", "group", "sigma")
 ORDER = "order"
 ONE_SESSION = "all"  # label of the rows of a table without sessions
 # Values of a direction, in lower case.
@@ -54,6 +54,8 @@ class TableRoles:
         Two values, see `direction_labels`, or numbers whose signs count.
     group : str or None
         What belongs together: replicates of one condition, one specimen.
+    sigma : str or None
+        Uncertainty of the response, above 0.
     time_unit : str
         Of ``session_seconds``: a time column's own, s for times of day, ``"rows"`` where their order is all.
     """
@@ -63,6 +65,7 @@ class TableRoles:
     position: str | None = None
     direction: str | None = None
     group: str | None = None
+    sigma: str | None = None
     time_unit: str = "s"
 
     def __post_init__(self) -> None:
@@ -115,8 +118,11 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
     ]
     if issues:
         raise InputError(issues)
-    cells = dict.fromkeys([*numbers, *([roles.position] if roles.position else [])])
+    cells = dict.fromkeys([*numbers, *filter(None, [roles.position, roles.sigma])])
     issues += [issue for name in cells for issue in find_bad_numbers(frame[name])]
+    if roles.sigma and not issues:
+        bad = pd.to_numeric(frame[roles.sigma]).to_numpy(float) <= 0
+        issues += _list_cells(frame[roles.sigma], bad, "is no uncertainty, which is above 0; correct it")
     for name in filter(None, dict.fromkeys([roles.session, roles.group, roles.direction])):
         empty = frame[name].isna().to_numpy()
         issues += _list_cells(frame[name], empty, "is empty; fill it in, or leave out its row")

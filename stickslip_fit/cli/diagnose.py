@@ -181,6 +181,9 @@ def diagnose_table(
     group: Annotated[
         str | None, typer.Option(help="Column: what belongs together, held out as a whole.")
     ] = None,
+    sigma: Annotated[
+        str | None, typer.Option(help="Column: uncertainty of the response, by which rows are weighted.")
+    ] = None,
     json: Json = None,
     report: ReportPath = None,
     save_law: ExtendedLawPath = None,
@@ -200,7 +203,8 @@ def diagnose_table(
     from stickslip_fit.diagnosis import diagnose_table as diagnose
 
     file = load_table_law(law)
-    given = {"session": session, "time": time, "position": position, "direction": direction, "group": group}
+    given = {"session": session, "time": time, "position": position, "direction": direction}
+    given |= {"group": group, "sigma": sigma}
     roles: dict[str, Any] = {**file.roles}
     roles |= {role: column for role, column in given.items() if column is not None}
     with show_progress() as progress:

@@ -33,6 +33,7 @@ from stickslip_fit.diagnosis._words import Words, lower_first
 from stickslip_fit.diagnosis.autocorrelation import MEDIAN_OF_NORMAL
 from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, TO_SOME_EXTENT, Finding, TableInfo, shown_size
 from stickslip_fit.diagnosis.gross_errors import TAIL_DF, UNIT_MEDIAN
+from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
@@ -42,6 +43,7 @@ MAX_RELATIVE_MISFIT = 1.05  # of the scatter of the response, of a law that is m
 MAX_NEAR_P_VALUE = 0.1  # of what is told though it raises no alarm
 SUSPECT_SD, MAX_SUSPECTS = 5.0, 3  # of a row beside the others; rows
 RARE_TABLES, MAX_TABLES = 1e3, 1e6  # of which noise leaves one with such a value; more are not counted
+CLEAR_CORRELATION, CLIP_SD = 3.0, 3.0  # standard errors of one of neighbours; of residuals in it
 MIN_KEPT = 0.1  # least share of a residual that a fit leaves
 MAX_PARAMETERS_NAMED = 4
 
@@ -91,7 +93,8 @@ class TableWords(Words):
 
     def notes(self) -> tuple[str, ...]:
         """See `Words`; how much the table tells."""
-        told = describe_independence(self.table, self.diagnosis.findings)
+        alike = correlate_neighbours(self.diagnosis.selection.linearized)
+        told = describe_independence(self.table, self.diagnosis.findings, alike)
         return (*self.table.notes, *self.diagnosis.notes, told)
 
     def name_cause(self, cause: str) -> str:
@@ -264,16 +267,43 @@ def _what_separates(finding: Finding, diagnosis: Diagnosis) -> str:
     return f" What would separate them: {'; '.join(advice)}."
 
 
-def describe_independence(table: TableInfo, findings: Sequence[Finding] = ()) -> str:
-    """How many independent values a table has beside what was found, as a sentence.
+def correlate_neighbours(linearized: LinearizedFit) -> float:
+    """Lag-1 correlation of residuals in the order of the table, within sessions; 0 where it is not clear."""
+    session = linearized.rows["session"].to_numpy(object)
+    size = np.clip(linearized.residual, -CLIP_SD, CLIP_SD)
+    pairs = session[1:] == session[:-1]
+    if not pairs.any():
+        return 0.0
+    correlation = float(np.mean((size[1:] * size[:-1])[pairs])) / (float(np.mean(size**2)) or 1.0)
+    return correlation if correlation * np.sqrt(pairs.sum()) > CLEAR_CORRELATION else 0.0
+
+
+def describe_independence(table: TableInfo, findings: Sequence[Finding] = (), neighbours: float = 0.0) -> str:
+    """How many independent values a table has beside what was found, as sentences.
+
+    Without a time the residuals of `neighbours` in the table may correlate all the same.
 
     Examples
     --------
-    >>> describe_independence(TableInfo("F", "N", 1.0, 600, 120.0, 5.0))
+    >>> describe_independence(TableInfo("F", "N", 1.0, 600, 120.0, 5.0, roles={"time": "t"}))
     'The 600 values of F tell as much as about 120 independent ones: the noise persists over 5.0 rows.'
-    >>> describe_independence(TableInfo("F", "N", 1.0, 600, 600.0))
+    >>> describe_independence(TableInfo("F", "N", 1.0, 600, 600.0, roles={"time": "t"}))
     'The noise of the 600 values of F shows no autocorrelation: all count as independent.'
+    >>> describe_independence(TableInfo("F", "N", 1.0, 600, 600.0))
+    'All 600 values of F count as independent, as no column was named as the time.'
     """
+    if "time" not in table.roles:
+        told = (
+            f"All {table.rows:,} values of {table.response} count as independent, as no column was named as "
+            "the time."
+        )
+        if not neighbours:
+            return told
+        return (
+            f"{told} But what the law leaves of neighbouring rows is alike (correlation {neighbours:.2f}): "
+            "if the rows stand in the order of measurement, name 'order' as the time, which allows for noise "
+            "that persists. Until then an alarm may be due to that alone."
+        )
     if not table.is_correlated and any(one.carrier == "memory" for one in findings):
         return (
             f"All {table.rows:,} values of {table.response} count as independent: what carries over from one "

@@ -275,6 +275,7 @@ def linearize_unweighted(problem: DiagnosisProblem, fit: ExtendedFit) -> Lineari
         problem,
         repeatability=np.ones_like(problem.repeatability),
         noise_ratio=np.ones(len(problem)),
+        relative_sd=1.0,
         rounding=np.zeros(len(problem)),
         autocorrelation=None,
         uncertain=(),

@@ -240,7 +240,9 @@ def _departure_covariance(selection: Selection, problem: DiagnosisProblem, outli
     Rows of one block share the error of its own parameters, which few rows may have determined.
     """
     smaller, n_shared = selection.problem, problem.n_shared + len(selection.fit.values)
-    typical = smaller.repeatability[problem.noise_group[outliers]] ** 2 * np.mean(smaller.noise_ratio**2)
+    relative = np.broadcast_to(problem.relative_sd, len(problem))[outliers]
+    typical = smaller.repeatability[problem.noise_group[outliers]] * relative
+    typical = typical**2 * np.mean(smaller.noise_ratio**2)
     covariance = np.diag(typical + problem.rounding[outliers])
     for part, fitted in zip(problem.parts, selection.fit.parts, strict=True):
         _, slopes = fitted.law.model(smaller.rows.iloc[fitted.rows])(fitted.values)

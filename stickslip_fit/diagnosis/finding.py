@@ -318,7 +318,7 @@ class TableInfo(DataInfo):
         Of the noise's oscillation, in that unit; NaN where it has none.
     time_unit : str
     roles : mapping of str to str
-        Column of each role that was given or found: session, time, position, direction, group.
+        Column of each role that was given or found: session, time, position, direction, group, sigma.
     file, sha256 : str
         Empty for a table that was never in a file; the hash is then that of its values.
     files : tuple of str

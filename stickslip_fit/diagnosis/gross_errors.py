@@ -23,7 +23,7 @@ from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, split_pos
 from stickslip_fit.diagnosis.noise import NEIGHBOURS, Outliers, find_runs
 from stickslip_fit.diagnosis.noise_shape import fit_skewness
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.selection import Selection, select_outliers
+from stickslip_fit.diagnosis.selection import NO_ROWS, Selection, select_outliers
 from stickslip_fit.diagnosis.testability import MIN_DF
 from stickslip_fit.diagnosis.unevenness import Residuals, estimate_unevenness, group_rows
 
@@ -35,16 +35,31 @@ RANK_TOL = 1e-6  # singular values of a block's Jacobian, relative to the larges
 PRIOR_DF = 4.0  # of the usual noise, for that of one block
 MIN_SCALE = 0.01  # of a robust fit, relative to the noise by least squares
 MIN_RELATIVE_SD = 0.3  # of a drive's noise, relative to that of all drives
+MAX_LOOKS = 4  # for gross errors that larger ones hide
 MAX_SHARE, MAX_ANYWAY = 0.05, 2  # of the rows; more are an effect, but for so few
 SHARED_DEPARTURE = 0.25  # of a row's departure; a neighbour with more has it too
 
 
-def find_gross_errors(problem: DiagnosisProblem, level: float) -> Outliers:
+def find_gross_errors(problem: DiagnosisProblem, level: float, known: IntArray = NO_ROWS) -> Outliers:
     """Rows that Student's t noise gives with a probability below `level` in the whole log, and their p-value.
 
-    None where so many rows depart that it is an effect, or where there are too few rows to tell.
+    None where so many rows depart that it is an effect, or where there are too few rows to tell. Beside an
+    error that is many times as large another one is hidden, so that rows without the `known` ones and those
+    found are looked through until none is left. The known ones are not among the result.
     """
-    nothing = Outliers(np.zeros(0, dtype=np.intp), 1.0)
+    rows, p_value, kept = NO_ROWS, 1.0, np.setdiff1d(np.arange(len(problem)), known)
+    for _ in range(MAX_LOOKS):
+        more = _find_largest(set_aside(problem, np.setdiff1d(np.arange(len(problem)), kept)), level)
+        if not len(more.rows):
+            break
+        rows, p_value = np.union1d(rows, kept[more.rows]), min(p_value, more.p_value)
+        kept = np.delete(kept, more.rows)
+    return Outliers(rows, p_value)
+
+
+def _find_largest(problem: DiagnosisProblem, level: float) -> Outliers:
+    """The largest of the gross errors, and those that these do not hide."""
+    nothing = Outliers(NO_ROWS, 1.0)
     widths = [part.values.shape[1] - problem.n_shared for part in problem.parts]
     blocks = [len(np.unique(part.block)) for part in problem.parts]
     df = len(problem) - problem.n_shared - int(np.dot(widths, blocks))
@@ -144,6 +159,7 @@ def set_aside(problem: DiagnosisProblem, rows: IntArray) -> DiagnosisProblem:
     smaller = trimmed.without_rows(rows)
     linearized, drive = smaller.linearize(), smaller.noise_group
     squares = (linearized.residual * smaller.scale) ** 2 - (1.0 - linearized.leverage) * smaller.rounding
+    squares /= np.square(smaller.relative_sd)
     df = np.bincount(drive, 1.0 - linearized.leverage, len(problem.repeatability))
     total = np.bincount(drive, squares, len(problem.repeatability))
     pooled = max(total.sum() / max(df.sum(), 1.0), np.finfo(float).tiny)
@@ -195,12 +211,12 @@ def _robust_scale(residual: Array, problem: DiagnosisProblem) -> Array:
 
     Where most rows are equal, as many zeros are, a law may run through all of them, so that the median is 0.
     """
-    size, drive = np.abs(residual), problem.noise_group
+    size, drive = np.abs(residual) / problem.relative_sd, problem.noise_group
     pooled = max(float(np.median(size)), np.finfo(float).tiny)
     median = np.full(int(drive.max()) + 1, pooled)
     for number in np.unique(drive):
         median[number] = max(float(np.median(size[drive == number])), MIN_RELATIVE_SD * pooled)
-    return np.maximum(median[drive] / UNIT_MEDIAN, MIN_SCALE * problem.scale)
+    return np.maximum(median[drive] * problem.relative_sd / UNIT_MEDIAN, MIN_SCALE * problem.scale)
 
 
 def _merge_sessions(part: LawBlock, drive: IntArray) -> LawBlock:

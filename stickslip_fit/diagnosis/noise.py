@@ -207,13 +207,15 @@ def estimate_noise(
     drive: IntArray,
     kind: IntArray,
     least_sd: float = MIN_SD,
+    relative_sd: Array | float = 1.0,
 ) -> NoiseEstimate:
     """Estimate the noise from residuals without structure.
 
     `rounding`, shape (n,), is the variance that rounding adds; `drive` numbers the joint and direction of
-    each row, `kind` its configuration. No standard deviation is below `least_sd`.
+    each row, `kind` its configuration. No standard deviation is below `least_sd`; all are over the
+    `relative_sd` of their rows.
     """
-    deviation = left.residual * linearized.scale
+    deviation, rounding = left.residual * linearized.scale / relative_sd, rounding / np.square(relative_sd)
     free = np.maximum(1.0 - linearized.leverage - left.leverage, MIN_FREE)
     scale = np.sqrt(_estimate_drive_sd(deviation, free, rounding, drive, least_sd)[drive] ** 2 + rounding)
     # Rows that the law nearly follows one by one resemble each other's residuals: they count for less.
@@ -221,10 +223,10 @@ def estimate_noise(
     standardized = deviation / scale / np.sqrt(free)
     uneven, skewness = Unevenness(np.ones(len(deviation))), None
     if linearized.noise_filter is None:
-        uneven = _estimate_unevenness(linearized, left, scale, drive, kind)
+        uneven = _estimate_unevenness(linearized, left, scale * relative_sd, drive, kind)
         if left.log_evidence > 0:  # what looks like structure may be where the noise is large
             whole = StructureRemoved(linearized.residual, np.zeros(len(deviation)))
-            alone = _estimate_unevenness(linearized, whole, scale, drive, kind)
+            alone = _estimate_unevenness(linearized, whole, scale * relative_sd, drive, kind)
             if alone.log_ratio > uneven.log_ratio + left.log_evidence + MIN_UNEVEN_LOG_ODDS:
                 uneven = alone
         skewness = fit_skewness((standardized / uneven.ratio)[counts == 1.0])

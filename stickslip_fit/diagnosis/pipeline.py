@@ -177,18 +177,23 @@ def diagnose_problem(
             p_value = min(p_value, found.p_value)
         elif len(back := explain_outliers(found, problem, aside)):
             next_aside = np.setdiff1d(aside, back)
+        elif len(found.outliers):
+            out = np.union1d(aside, kept[found.outliers])
+            hidden = find_gross_errors(problem, GROSS_ALPHA_SHARE * alpha, out)
+            if not len(hidden.rows):
+                break
+            next_aside, p_value = np.union1d(out, hidden.rows), min(p_value, found.p_value)
         else:
             break
     selection = settle_noise(with_gross_errors(found, len(problem), aside, p_value))
     findings = size_findings(selection, problem, alpha) if selection.p_value < alpha else ()
     searched = selection.problem
-    row_sd = searched.repeatability[searched.noise_group] * searched.noise_ratio
     return Diagnosis(
         verdict=choose_verdict(findings),
         findings=findings,
         p_value=selection.p_value,
         misfit=_rms_left(search),
-        repeatability=np.nan if search.too_small else rms(row_sd),
+        repeatability=np.nan if search.too_small else rms(searched.noise_sd),
         inclusion=_inclusion_probabilities(selection, search.problem, search.untestable, alpha),
         untestable=search.untestable,
         alpha=alpha,

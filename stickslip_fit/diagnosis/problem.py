@@ -77,6 +77,9 @@ class DiagnosisProblem:
         Configuration of each row; the noise may depend on it.
     noise_ratio : array, shape (n,)
         Standard deviation of each row's configuration over that of its group.
+    relative_sd : array, shape (n,), or float
+        What a row's noise is relative to others' beside that: as a column states it, or as it grows with the
+        response.
     n_shared : int
         How many of the laws' parameters, the last ones, have one value for all rows.
     autocorrelation : Autocorrelation or None
@@ -114,6 +117,7 @@ class DiagnosisProblem:
     expressions: Callable[[LinearizedFit], Dictionary | None]
     configuration: IntArray
     noise_ratio: Array
+    relative_sd: Array | float = 1.0
     n_shared: int = 0
     autocorrelation: Autocorrelation | None = None
     outlier_cause: str = "outliers"
@@ -132,14 +136,19 @@ class DiagnosisProblem:
     @property
     def scale(self) -> Array:
         """Standard deviation of each response, shape (n,)."""
-        return np.sqrt((self.repeatability[self.noise_group] * self.noise_ratio) ** 2 + self.rounding)
+        return np.sqrt(self.noise_sd**2 + self.rounding)
+
+    @property
+    def noise_sd(self) -> Array:
+        """The same without rounding."""
+        return self.repeatability[self.noise_group] * self.relative_sd * self.noise_ratio
 
     def noise_beside(self, causes: Sequence[Any]) -> dict[tuple[int, str], float]:
         """A log's rms noise by joint and direction, of joints in which a fit with the causes cannot tell it.
 
         Functions with about as many coefficients as a joint has traverses leave no residuals.
         """
-        square, known = (self.repeatability[self.noise_group] * self.noise_ratio) ** 2, {}
+        square, known = self.noise_sd**2, {}
         directions = self.rows["direction"].to_numpy(dtype=object)
         for part in self.parts:
             acting = [one for cause in causes if cause.acts_on(part.law) for one in cause.parameters]
@@ -207,7 +216,13 @@ class DiagnosisProblem:
     def estimate_noise(self, linearized: LinearizedFit, left: StructureRemoved) -> NoiseEstimate:
         """The noise, from residuals without structure."""
         return estimate_noise(
-            linearized, left, self.rounding, self.noise_group, self.configuration, self.least_sd
+            linearized,
+            left,
+            self.rounding,
+            self.noise_group,
+            self.configuration,
+            self.least_sd,
+            self.relative_sd,
         )
 
     def with_noise(self, noise: NoiseEstimate) -> DiagnosisProblem:
@@ -280,6 +295,7 @@ class DiagnosisProblem:
         return replace(
             self,
             autocorrelation=None if self.autocorrelation is None else self.autocorrelation.select(kept),
+            relative_sd=np.broadcast_to(self.relative_sd, len(self))[kept],
             spacing=None if self.spacing is None else self.spacing[kept],
             smooth_columns=self.smooth_columns[kept] if self.smooth_columns.size else self.smooth_columns,
             uncertain=tuple(

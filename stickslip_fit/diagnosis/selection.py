@@ -77,6 +77,7 @@ MAX_OWN_PARAMETERS, ROWS_PER_PARAMETER = 24, 6
 # share of the rate, at most 22 lie above, so that no decision depends on the rest.
 MAX_EXCEEDANCES = 50
 MAX_NOISE_LEFT = 0.8  # of the noise, without structure, for which tests are made anew
+SWOLLEN_NOISE_LEFT = 0.1  # of the noise, without gross errors that were taken for it
 MIN_EVIDENCE_SHARE = 0.5  # of a cause's evidence, without which another cannot take its place
 NO_ROWS: IntArray = np.zeros(0, dtype=np.intp)
 
@@ -192,7 +193,7 @@ def _select(
     misfires: list[SelectedCause] = []
     if len(outlying) and test.p_value < OUTLIER_ALPHA_SHARE * alpha:
         outliers = outlying
-        problem = problem.without_rows(outliers).with_autocorrelation()
+        problem = _in_noise_left(problem.without_rows(outliers)).with_autocorrelation()
         effects = compute_finite_effects(problem.linearize(), problem.causes)
         problem, linearized, _ = _reestimate_noise(problem, effects)
         misfires = [select_outliers(problem, outlier_p_value)]
@@ -208,6 +209,17 @@ def _select(
     selected = (*misfires, *name_combinations(search.selected, search.combinations))
     results = first, search.last, p_value, fit, linearized
     return Selection(problem, outliers, selected, *results, tuple(sorted(search.failed)), search.influential)
+
+
+def _in_noise_left(problem: DiagnosisProblem) -> DiagnosisProblem:
+    """The problem, in noise as small as what the laws leave, if that is far smaller than taken for the noise.
+
+    In noise that gross errors have swelled no effect is worth a trial.
+    """
+    left = rms(problem.linearize().residual)
+    if left > SWOLLEN_NOISE_LEFT:
+        return problem
+    return replace(problem, repeatability=np.maximum(left * problem.repeatability, problem.least_sd))
 
 
 class _ForwardSelection:
@@ -410,6 +422,7 @@ def explain_outliers(selection: Selection, problem: DiagnosisProblem, outliers: 
     departure = predict_departures(selection, problem, outliers)
     # Of a joint and direction with few rows the repeatability may be far too small.
     noise = selection.expected.repeatability[problem.noise_group[outliers]]
+    noise = noise * np.broadcast_to(problem.relative_sd, len(problem))[outliers]
     free = 1.0 - np.minimum(problem.linearize().leverage[outliers], MAX_LEVERAGE)
     sd = np.sqrt((noise**2 + problem.rounding[outliers]) / free)  # of predictions by the other rows
     return outliers[(departure != 0) & (np.abs(departure) < OUTLYING_SD * sd)]

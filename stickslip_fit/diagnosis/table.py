@@ -10,7 +10,7 @@ what is found without these (`time_or_columns`).
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -30,15 +30,17 @@ from stickslip_fit.diagnosis.autocorrelation import number_samples
 from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.finding import TableInfo
 from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
+from stickslip_fit.diagnosis.noise_growth import with_growing_noise
 from stickslip_fit.diagnosis.pipeline import diagnose_problem
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.diagnosis.table_alternatives import TableAlternatives, response_columns
-from stickslip_fit.diagnosis.table_noise import with_samples
+from stickslip_fit.diagnosis.table_noise import weigh_rows, with_samples
 from stickslip_fit.diagnosis.table_rows import (
     as_law,
     declared_time_unit,
     describe_choices,
+    describe_weights,
     find_columns,
     read_rows,
 )
@@ -68,6 +70,7 @@ def diagnose_table(
     position: str | None = None,
     direction: str | None = None,
     group: str | None = None,
+    sigma: str | None = None,
     causes: Iterable[Any] = (),
     generic_causes: Iterable[Any] | None = None,
     shared: Iterable[str] | str | None = None,
@@ -97,6 +100,9 @@ def diagnose_table(
     position, direction, group : str, optional
         Columns of where something stands, of which way it moves (two values, or numbers whose signs count),
         and of what belongs together.
+    sigma : str, optional
+        Column of uncertainties of the response: rows are weighted by 1 / sigma^2. Only their ratios count;
+        the scale is estimated. Without it the noise may grow with the response where it clearly does.
     causes : iterable of Cause, optional
         Candidates beside the generic ones.
     generic_causes : iterable of Cause, optional
@@ -123,7 +129,7 @@ def diagnose_table(
     check_rate("alpha", alpha)
     check_count("seed", seed, least=0)
     law, causes = as_law(law), tuple(causes)
-    roles = TableRoles(session, time, position, direction, group)
+    roles = TableRoles(session, time, position, direction, group, sigma)
     used, levels = find_columns(law, response, causes), [str(getattr(cause, "by", "")) for cause in causes]
     table, source = read_rows(frame, sheet, roles, used, levels)
     table, notes = leave_out_gaps(table, {*used, *levels, *roles.columns.values()})
@@ -135,9 +141,11 @@ def diagnose_table(
     problem, missing = problem_from_table(
         table, law, response=response, roles=roles, causes=causes, generic_causes=generic_causes
     )
+    if not roles.sigma:
+        problem = with_growing_noise(problem)
     search = partial(diagnose_problem, missing=missing, alpha=alpha, seed=seed, progress=progress)
     diagnosis = prefer_columns(problem, search(problem), search)
-    info = replace(describe_table(problem, diagnosis.selection.problem, roles), **source)
+    info = describe_table(problem, diagnosis.selection.problem, roles, source)
     diagnosis = replace(diagnosis, table=info, seconds=clock.perf_counter() - began)
     return diagnosis.measure_gain(progress=progress) if gain else diagnosis
 
@@ -149,6 +157,7 @@ def fit_table(
     response: str | None = None,
     session: str | None = None,
     time: str | None = None,
+    sigma: str | None = None,
     shared: Iterable[str] | str | None = None,
     sheet: str | None = None,
     command: str = "",
@@ -159,7 +168,7 @@ def fit_table(
 
     Parameters
     ----------
-    frame, law, response, session, time, shared, sheet
+    frame, law, response, session, time, sigma, shared, sheet
         As of `diagnose_table`.
     command : str, optional
         For the result's provenance.
@@ -169,7 +178,7 @@ def fit_table(
     InputError
         As `diagnose_table`.
     """
-    roles, law = TableRoles(session, time), as_law(law)
+    roles, law = TableRoles(session, time, sigma=sigma), as_law(law)
     table, source = read_rows(frame, sheet, roles, find_columns(law, response, ()))
     if shared is not None:
         law = replace(law, shared=shared if isinstance(shared, str) else tuple(shared))
@@ -178,7 +187,7 @@ def fit_table(
     linearized = correlated.linearize()
     factor = float(np.sqrt(np.sum(linearized.residual**2) / max(linearized.df, 1)))
     scaled = replace(correlated, repeatability=factor * correlated.repeatability)
-    info = replace(describe_table(problem, scaled, roles), **source)
+    info = describe_table(problem, scaled, roles, source)
     return make_table_fit(scaled, scaled.fit_extended(), info, command=command)
 
 
@@ -249,6 +258,8 @@ def problem_from_table(
         n_refits=N_REFITS,
         least_sd=least_sd,
     )
+    if roles.sigma:
+        problem = weigh_rows(problem, rows[roles.sigma].to_numpy(float))
     missing = _explain_missing(rows, bound, roles) if generic_causes is None else {}
     if sample is None or repeatability <= least_sd:  # without scatter there is no noise to be coloured
         return problem, missing
@@ -256,15 +267,20 @@ def problem_from_table(
     return with_samples(problem, alternatives, sample, time_unit), missing
 
 
-def describe_table(problem: DiagnosisProblem, searched: DiagnosisProblem, roles: TableRoles) -> TableInfo:
-    """What a diagnosis says of its table; `searched` is the problem with the noise as the search left it."""
+def describe_table(
+    problem: DiagnosisProblem, searched: DiagnosisProblem, roles: TableRoles, source: Mapping[str, Any]
+) -> TableInfo:
+    """What a diagnosis says of its table; `searched` is the problem with the noise as the search left it.
+
+    `source` is as of `read_rows`.
+    """
     law, noise = problem.parts[0].law, searched.autocorrelation
     length = 1.0 if noise is None else noise.correlation_rows
     interval = np.nan
     if roles.time and len(problem) > 1:
         spacing = np.diff(problem.rows["session_seconds"].to_numpy(float))
         interval = float(np.median(spacing[spacing > 0])) if np.any(spacing > 0) else np.nan
-    return TableInfo(
+    info = TableInfo(
         response=str(law.response_name),
         unit=str(law.response_unit),
         response_sd=float(np.std(problem.responses)),
@@ -275,7 +291,9 @@ def describe_table(problem: DiagnosisProblem, searched: DiagnosisProblem, roles:
         noise_period=np.nan if noise is None else noise.period_rows * interval,
         time_unit=roles.time_unit,
         roles=roles.columns,
+        **source,
     )
+    return replace(info, notes=(*info.notes, *describe_weights(searched, info)))
 
 
 def _check_response(y: Array, rows: pd.DataFrame, name: str) -> None:

@@ -23,7 +23,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     compute_finite_effects,
     split_sessions,
 )
-from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.linearized import LinearizedFit, rms
 from stickslip_fit.diagnosis.mean_structure import (
     MAX_BESIDE_OWN,
     MAX_COURSE_DIRECTIONS,
@@ -83,6 +83,23 @@ def with_samples(
     noise = Autocorrelation(sample, certain, possible_effects=size * possible)
     causes = problem.causes if wave is None else (*problem.causes, wave)
     return replace(problem, autocorrelation=noise, causes=causes)
+
+
+def weigh_rows(problem: DiagnosisProblem, sd: Array) -> DiagnosisProblem:
+    """The problem with other standard deviations of its rows, shape (n,), relative to each other; refitted.
+
+    A fit with weights begins at that without: started elsewhere it may end far from either.
+    """
+    weighted = replace(problem, relative_sd=sd / rms(sd), autocorrelation=None)
+    weighted = replace(weighted, parts=weighted.fit_extended().parts)
+    linearized = weighted.linearize()
+    left = float(np.sqrt(np.sum(linearized.residual**2) / max(linearized.df, 1)))
+    sds = np.maximum(left * weighted.repeatability, weighted.least_sd)
+    weighted = replace(weighted, repeatability=sds)
+    if problem.autocorrelation is None:
+        return weighted
+    assert isinstance(weighted.alternatives, TableAlternatives)
+    return with_samples(weighted, weighted.alternatives, problem.autocorrelation.sample)
 
 
 def _spread_changes(linearized: LinearizedFit, effects: Sequence[FiniteEffects]) -> list[Array]:

@@ -7,16 +7,20 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from stickslip_fit._format import join_words
+from stickslip_fit._format import format_significant, join_words
 from stickslip_fit._input import format_path
 from stickslip_fit.causes.cause_formula import CauseFormula
 from stickslip_fit.causes.empty_cells import leave_out_empty
 from stickslip_fit.causes.roles import TableRoles, direction_labels, prepare_rows
 from stickslip_fit.causes.times import read_times
+from stickslip_fit.diagnosis.finding import TableInfo
+from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Law
+from stickslip_fit.laws.table import as_written
 from stickslip_fit.logs._numbers import with_numbers
 from stickslip_fit.logs.table_file import read_table_file
 from stickslip_fit.units import time_unit_of
@@ -76,7 +80,7 @@ def read_rows(
     names = [str(name) for name in table.columns]
     if len(table) == 0 or len(set(names)) < len(names):
         prepare_rows(table, roles)  # which says what is wrong
-    numbers = [*used, *filter(None, [roles.position])]
+    numbers = [*used, *filter(None, [roles.position, roles.sigma])]
     texts = [roles.session, roles.direction, roles.group, roles.time, *levels]
     table = with_numbers(table.set_axis(names, axis=1), numbers)
     table, notes = leave_out_empty(table, numbers, [name for name in texts if name])
@@ -98,6 +102,27 @@ def describe_choices(table: pd.DataFrame, roles: TableRoles, law: Any) -> tuple[
         columns = "is the column of that name" if len(letters) == 1 else "are the columns of these names"
         notes.append(f"{join_words(letters)} of the law {columns}, and no parameter.")
     return tuple(notes)
+
+
+def describe_weights(problem: DiagnosisProblem, table: TableInfo) -> tuple[str, ...]:
+    """By what the rows are weighted, as a sentence; none where all count alike."""
+    sd, name = problem.noise_sd, table.roles.get("sigma")
+    if name:
+        scale = float(np.median(sd / problem.rows[name].to_numpy(float)))
+        factor = format_significant(scale, 3)
+        return (f"Rows are weighted by 1 / {as_written(name)}^2; the noise is {factor} times {name}.",)
+    if np.ptp(problem.relative_sd) == 0:
+        return ()
+    linearized = problem.linearize()
+    predicted = problem.responses - linearized.unwhiten(linearized.residual)
+    (least, at_least), (most, at_most) = (
+        (table.format_size(float(sd[row])), table.format_size(float(predicted[row])))
+        for row in (np.argmin(problem.relative_sd), np.argmax(problem.relative_sd))
+    )
+    return (
+        f"The noise of {table.response} grows with the response, from {least} where the law predicts "
+        f"{at_least} to {most} where it predicts {at_most}; rows are weighted by 1 / noise^2.",
+    )
 
 
 def declared_time_unit(law: Any, table: pd.DataFrame, time: str | None) -> str:

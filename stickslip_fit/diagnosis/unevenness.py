@@ -231,6 +231,11 @@ class WeightedResiduals:
     free: Array
     log_volume: float
 
+    @property
+    def log_likelihood(self) -> float:
+        """Restricted, at the likeliest tails."""
+        return float(np.max(_log_densities(self.left) @ self.kept + self.log_volume))
+
 
 def group_rows(
     linearized: LinearizedFit, configuration: IntArray, residuals: Residuals

@@ -203,6 +203,7 @@ class TableFit(Summarized):
             time=self.roles.time if needs_time else None,
             position=None,
             group=None,
+            sigma=None,
             direction=self.roles.direction if self.roles.direction in needed else None,
         )
         rows = prepare_rows(frame, roles, numbers)

@@ -106,7 +106,8 @@ def with_points(cells: pa.Array) -> pa.Array:
 def read_column(cells: pa.Array, decimal_comma: bool = False) -> tuple[pd.Series[Any], bool]:
     """A column of text as numbers or truth values where all its cells are, and whether thousands had a mark.
 
-    What stands for an empty cell is empty.
+    What stands for an empty cell is empty. Where most cells have a decimal comma, these have a point, so that
+    what is no number is the others.
 
     Examples
     --------
@@ -128,6 +129,9 @@ def read_column(cells: pa.Array, decimal_comma: bool = False) -> tuple[pd.Series
     text = pc.if_else(_is_one_of(lower, _NO_VALUE), pa.scalar(None, pa.large_string()), text)
     if not text.null_count and pc.all(_is_one_of(lower, _TRUTH)).as_py():
         return pd.Series(pc.equal(lower, "true").to_numpy(zero_copy_only=False)), False
+    has_comma = pc.match_substring_regex(text, _DECIMAL_COMMA)
+    if decimal_comma and (pc.sum(has_comma).as_py() or 0) > (len(text) - text.null_count) / 2:
+        text = with_points(text)
     return pd.Series(text.to_pandas()), False
 
 

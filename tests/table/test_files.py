@@ -3,6 +3,7 @@
 import pandas as pd
 import pytest
 
+import stickslip_fit as ssf
 from stickslip_fit.diagnosis.table_rows import read_table
 from stickslip_fit.errors import InputError
 
@@ -146,3 +147,15 @@ def test_a_workbook_may_have_a_title_and_units(tmp_path):
     rows = [["Rig 3", None], [None, None], ["t", "force"], ["s", "mN"], *NUMBERS.to_numpy().tolist()]
     pd.DataFrame(rows).to_excel(path, index=False, header=False)
     pd.testing.assert_frame_equal(read_table(path)[0], NUMBERS, check_dtype=False)
+
+
+def test_beside_decimal_commas_the_cell_that_is_no_number_is_named_alone(tmp_path):
+    path = tmp_path / "bench.csv"
+    cells = [f"{1 + k / 8:.3f}".replace(".", ",") for k in range(12)]
+    cells[7] = "???"
+    path.write_text("x;y\n" + "".join(f"{k};{cell}\n" for k, cell in enumerate(cells)))
+    with pytest.raises(InputError) as error:
+        ssf.fit_table(path, "y ~ a + b*x")
+    (problem,) = error.value.problems
+    assert "row 8 is no finite number" in str(problem)
+    assert problem.value == "???"

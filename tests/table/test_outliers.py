@@ -107,3 +107,17 @@ def test_in_noise_that_persists_an_outlier_is_told_from_a_change_that_lasts():
     assert sizes["A"].low < 1.0 < sizes["A"].high
     assert sizes["moment"].low <= 179.5 <= sizes["moment"].high
     assert found.selection.outliers.tolist() == [60]
+
+
+@pytest.mark.parametrize("errors", [(-20.0, 200.0), (20.0, 200.0), (-0.5, 5.0)])
+def test_an_error_many_times_as_large_hides_no_other_nor_a_jump(errors):
+    """Until both are set aside, a jump of four standard deviations is lost in what the smaller one leaves."""
+    rng, off = np.random.default_rng(104), [40, 160]
+    mass = rng.choice([10.0, 20.0, 50.0, 100.0, 200.0], 200)
+    y = 1.0003 * mass + 0.002 + 0.012 * (np.arange(200) >= 130) + 0.003 * rng.standard_normal(200)
+    y[off] += errors
+    found = ssf.diagnose_table(
+        pd.DataFrame({"mass": mass, "y": y.round(3)}), "y ~ k*mass + zero", time="order", gain=False
+    )
+    assert {one.cause for one in found.findings} == {"outliers", "sudden-change"}
+    assert set(found.selection.outliers.tolist()) == set(off)

@@ -68,8 +68,23 @@ def test_carriers_have_the_names_that_the_table_has(independent):
 def test_what_carries_over_is_not_denied(independent):
     (finding,) = independent.findings
     memory = replace(finding, carrier="memory")
-    assert "shows no autocorrelation" in describe_independence(independent.table, [finding])
-    assert "shows no autocorrelation" not in describe_independence(independent.table, [memory])
+    timed = replace(independent.table, roles={"time": "t"})
+    assert "shows no autocorrelation" in describe_independence(timed, [finding])
+    assert "shows no autocorrelation" not in describe_independence(timed, [memory])
+
+
+@pytest.mark.parametrize(("phi", "is_told"), [(0.0, False), (0.8, True)])
+def test_without_a_time_rows_count_as_independent_and_neighbours_that_are_alike_are_told(phi, is_told):
+    rng = np.random.default_rng(1)
+    x, noise = rng.uniform(0, 10, 200), rng.standard_normal(200)
+    for k in range(1, 200):
+        noise[k] += phi * noise[k - 1]
+    found = ssf.diagnose_table(pd.DataFrame({"x": x, "y": 1 + 2 * x + noise}), "y ~ a + b*x", gain=False)
+    text = text_of(found)
+    assert "count as independent, as no column was named as the time" in text
+    assert "no autocorrelation" not in text
+    assert ("neighbouring rows is alike (correlation 0.7" in text) == is_told
+    assert ("name 'order' as the time, which allows for" in text) == is_told
 
 
 def test_of_noise_that_persists_too_long_it_is_said_that_nothing_can_be_shown():
