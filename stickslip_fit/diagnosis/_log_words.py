@@ -14,6 +14,7 @@ from stickslip_fit._format import (
     format_p_value,
     format_percent,
     join_words,
+    pluralize,
 )
 from stickslip_fit.causes import EndStopMisfire
 from stickslip_fit.causes.parameters import plain_description
@@ -30,6 +31,7 @@ from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import MISFIRE, DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
+from stickslip_fit.estimation._gaps import fill_gaps
 
 MANY_SESSIONS = 3  # above which they are counted instead of named
 NOISY = 2.0  # times the noise of the quietest session
@@ -77,7 +79,7 @@ class LogWords(Words):
         )
         if not np.isfinite(diagnosis.repeatability):
             text = f"Nothing can be said of this log: {diagnosis.untestable[UNKNOWN]}."
-        return [text, *describe_noise(diagnosis)]
+        return [text, *describe_noise(diagnosis), *describe_gaps(diagnosis)]
 
     def tell_findings(self) -> list[str]:
         """See `Words`."""
@@ -88,6 +90,7 @@ class LogWords(Words):
             *map(self.describe_side_effect, others),
             *(describe_reading(one, intervals=False) for one in self.diagnosis.stage if one.suffices),
             *describe_noise(self.diagnosis),
+            *describe_gaps(self.diagnosis),
         ]
 
     describe_effect = staticmethod(describe_effect)
@@ -140,6 +143,18 @@ def describe_noise(diagnosis: Diagnosis) -> list[str]:
     if not said:
         return []
     return [f"The noise is not as assumed, which is allowed for: {join_words(said)}."]
+
+
+def describe_gaps(diagnosis: Diagnosis) -> list[str]:
+    """A sentence on empty cells of smooth columns; none where there is none."""
+    if diagnosis.log is None:
+        return []
+    rows = diagnosis.log.rows
+    rows = rows[rows["status"] == "ok"]
+    filled = fill_gaps(rows).isna().sum()
+    counts = {name: int(rows[name].isna().sum() - filled[name]) for name in rows}
+    told = [f"{pluralize(n, 'empty cell')} of {name_carrier(name)}" for name, n in counts.items() if n]
+    return [f"Filled in between readings: {join_words(told)}."] if told else []
 
 
 def _describe_unevenness(problem: DiagnosisProblem, carrier: str) -> str:

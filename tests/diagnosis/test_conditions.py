@@ -30,6 +30,7 @@ def test_empty_cells_of_a_slow_temperature_do_not_hide_it(seed):
     found = ssf.diagnose(read_with_temperature(lambda k: 0.01 * k, seed, empty=20), gain=False)
     (finding,) = found.findings
     assert (found.verdict, finding.cause) == ("cause named", "temperature")
+    assert "Filled in between readings: 20 empty cells of temperature." in " ".join(str(found).split())
     (slope,) = finding.parameters
     assert slope.size.low < 0.01 < slope.size.high
 

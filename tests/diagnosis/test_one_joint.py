@@ -102,9 +102,10 @@ def test_a_cause_with_another_size_in_each_joint_has_these_sizes(name, seed, tmp
     assert all(np.isfinite([one.size.low, one.size.high]).all() for one in finding.parameters)
     law = found.extended_law()
     law.save(tmp_path / "law.json")
-    pd.testing.assert_frame_equal(
-        ssf.load_result(tmp_path / "law.json").predict(log.rows), law.predict(log.rows), rtol=1e-6
-    )
+    again, before = ssf.load_result(tmp_path / "law.json").predict(log.rows), law.predict(log.rows)
+    assert again["steps"].tolist() == before["steps"].tolist()
+    # The file has ten digits of a covariance, of which an error is a small difference.
+    pd.testing.assert_frame_equal(again, before, rtol=1e-6)
 
 
 def test_a_law_has_the_size_of_its_joint():
