@@ -222,8 +222,11 @@ def test_a_polynomial_in_time_is_no_warm_up_no_drift_and_no_sudden_change(shape)
 
 @pytest.mark.parametrize(
     ("cycles", "offset", "drift", "expected"),
-    [(1, 0.02, 0.0, "offset-by-direction"), (3, 0.02, 0.0, "offset-by-direction"), (3, 0.0, 0.03, "drift")],
-    ids=["one sweep", "three sweeps", "drift beside sweeps"],
+    [
+        pytest.param(1, 0.02, 0.0, "offset-by-direction", id="one sweep"),
+        pytest.param(3, 0.02, 0.0, "offset-by-direction", id="three sweeps", marks=pytest.mark.nightly),
+        pytest.param(3, 0.0, 0.03, "drift", id="drift beside sweeps", marks=pytest.mark.nightly),
+    ],
 )
 def test_what_follows_a_column_that_is_swept_is_no_function_of_time(cycles, offset, drift, expected):
     """A parabola in the temperature and an effect beside it: together a smooth course, or a wave, in time."""
