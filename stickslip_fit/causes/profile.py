@@ -1,7 +1,7 @@
 """along-travel: the step size follows a joint's own position, by a smooth function learned from the log.
 
-The function is a sum of cosines over the travel that the log covers, whose coefficients have a
-Gaussian-process prior (`smooth`). It is campaign-wide, so that overlapping partial traverses teach it.
+The logarithm of the step size has a sum of cosines over the travel that the log covers, whose coefficients
+have a Gaussian-process prior (`smooth`). It is campaign-wide, so that overlapping partial traverses teach it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause, extend
 from stickslip_fit.causes.kinds import FactorCause
 from stickslip_fit.causes.parameters import CauseParameter, Row, SizedParameter, collect_row_values
-from stickslip_fit.causes.smooth import LENGTHS, LinearFactor, cosines, prior_sds, rough_prior_sds
+from stickslip_fit.causes.smooth import LENGTHS, LogLinearFactor, cosines, prior_sds, rough_prior_sds
 from stickslip_fit.laws import State, StepLaw, state_at
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import Interval
@@ -32,12 +32,16 @@ NOMINAL_TRAVEL = ((1, -2.0943951, 2.0943951), (2, -3.6651914, 0.5235988), (3, 0.
 TRIAL_SIZE = 0.01  # rms
 LARGEST_SIZE = 0.5  # of a single cosine: 35 % rms
 N_PIECES = 8  # of a traverse along which the law itself varies, each with one step size, in trials
+N_PLACES = 500  # of a travel, at which a function's size is computed
 RMS = "rms"
 
 
 @dataclass(frozen=True)
-class AlongTravel(LinearFactor):
-    """gamma times 1 + f(q), f a sum of cosines over the travel of each joint, constant beyond.
+class AlongTravel(LogLinearFactor):
+    """gamma times exp of a sum of cosines over the travel of each joint, constant beyond.
+
+    Where it is small that is 1 + f(q), f smooth with mean 0; a motor's steps may be several times larger in
+    one place than in another, and are nowhere less than nothing.
 
     Attributes
     ----------
@@ -45,7 +49,7 @@ class AlongTravel(LinearFactor):
         Joints that it acts on, with the lowest and the highest position of their traverses.
     directions : tuple of str
         Those with a function of their own: both, or the one in which it acts. Empty for one that both share.
-    shape : tuple of float
+    sds : tuple of float
         Prior standard deviations of the cosines' coefficients for a function of rms 1.
     amplitude : float or None
         Rms of the function under the prior with which it is fitted, in units of `TRIAL_SIZE`; None for no
@@ -54,7 +58,7 @@ class AlongTravel(LinearFactor):
 
     travel: tuple[tuple[int, float, float], ...] = NOMINAL_TRAVEL
     directions: tuple[str, ...] = ()
-    shape: tuple[float, ...] = tuple(prior_sds(LENGTHS[1]).tolist())
+    sds: tuple[float, ...] = tuple(prior_sds(LENGTHS[1]).tolist())
     amplitude: float | None = None
 
     name = "along-travel"
@@ -88,13 +92,13 @@ class AlongTravel(LinearFactor):
                 prior_sd=amplitude * sd,
             )
             for joint, direction in self.groups
-            for k, sd in enumerate(self.shape, start=1)
+            for k, sd in enumerate(self.sds, start=1)
         )
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
-        return tuple(TRIAL_SIZE * sd for _ in self.groups for sd in self.shape)
+        return tuple(TRIAL_SIZE * sd for _ in self.groups for sd in self.sds)
 
     def with_amplitude(self, amplitude: float) -> Self:
         """The same with the prior under which each coefficient is as large as its trial times `amplitude`."""
@@ -107,7 +111,7 @@ class AlongTravel(LinearFactor):
     def panel(self, values: Array, joint: int) -> float:
         """See `Cause.panel`: two periods of the narrowest cosine."""
         longest = max(high - low for own, low, high in self.travel if own == joint)
-        return 4.0 * longest / len(self.shape)
+        return 4.0 * longest / len(self.sds)
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bind`: the travel of each joint whose traverses have different ends."""
@@ -123,10 +127,10 @@ class AlongTravel(LinearFactor):
         if self.amplitude is None:
             joints = [(one,) for one in self.travel] + ([self.travel] if len(self.travel) > 1 else [])
             ways = [(), ("+", "-")] if rows["direction"].nunique() > 1 else [()]
-            shapes = [*(prior_sds(length) for length in LENGTHS), rough_prior_sds()]
+            priors = [*(prior_sds(length) for length in LENGTHS), rough_prior_sds()]
             versions = [
-                replace(self, travel=travel, directions=each, shape=tuple(shape.tolist()))
-                for shape in shapes
+                replace(self, travel=travel, directions=each, sds=tuple(sds.tolist()))
+                for sds in priors
                 for travel in joints
                 for each in ([self.directions] if self.is_restricted else ways)
             ]
@@ -156,7 +160,7 @@ class AlongTravel(LinearFactor):
     def functions(self, state: State) -> Array:
         """See `LinearFactor.functions`."""
         low, high = next((low, high) for joint, low, high in self.travel if joint == state.joint)
-        return cosines(state.position, low, high, len(self.shape))
+        return cosines(state.position, low, high, len(self.sds))
 
     def acts(self, state: State) -> Array:
         """See `LinearFactor.acts`."""
@@ -173,9 +177,9 @@ class AlongTravel(LinearFactor):
 
     def summarize(self, values: Array, covariance: Array) -> tuple[SizedParameter, ...]:
         """Rms of each function over its travel, by its coefficients (q,) and their covariance (q, q)."""
-        number = len(self.shape)
+        number = len(self.sds)
         return tuple(
-            SizedParameter(RMS, "%", _rms_interval(values[own], covariance[own, own]), joint, direction)
+            SizedParameter(RMS, "%", _rms_of_factor(values[own], covariance[own, own]), joint, direction)
             for place, (joint, direction) in enumerate(self.groups)
             for own in [slice(place * number, (place + 1) * number)]
         )
@@ -213,7 +217,7 @@ class AlongTravel(LinearFactor):
         low, high = next((low, high) for joint, low, high in self.travel if joint == law.joint)
         stretches, which = unique_rows(np.concatenate([start, stop], axis=1))
         shares = np.linspace(stretches[:, 0], stretches[:, 1], gamma.shape[1] + 1, axis=1)
-        integrals = _cosine_integrals((shares - low) / (high - low), len(self.shape))
+        integrals = _cosine_integrals((shares - low) / (high - low), len(self.sds))
         means = np.diff(integrals, axis=1) / np.diff(shares, axis=1)[:, :, None] * (high - low)
         weights = (1.0 / gamma) / np.sum(1.0 / gamma, axis=1, keepdims=True)
         mean = np.einsum("np,npk->nk", weights, means[which])
@@ -238,6 +242,14 @@ def _cosine_integrals(share: Array, number: int) -> Array:
     if np.any(inside != share):
         integrals += np.cos(inside[:, :, None] * turns) * (share - inside)[:, :, None]
     return np.asarray(integrals)
+
+
+def _rms_of_factor(values: Array, covariance: Array) -> Interval:
+    """Rms of the factor relative to its mean over the travel, from that of its logarithm."""
+    logarithm = cosines(np.linspace(0.0, 1.0, N_PLACES), 0.0, 1.0, len(values)) @ values
+    factor = np.exp(logarithm - logarithm.max())
+    size = _rms_interval(values, covariance)
+    return size.times(float(factor.std() / factor.mean() / max(logarithm.std(), np.finfo(float).tiny)))
 
 
 def _rms_interval(values: Array, covariance: Array) -> Interval:

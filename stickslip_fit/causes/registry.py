@@ -46,6 +46,7 @@ PROPOSED: dict[str, Callable[..., Cause]] = {
 }
 # Names of proposed functions in files of earlier versions, where they were a sum, not an exponential.
 FORMER = ("smooth-term", "smooth-joint-term", "smooth-travel-term", "periodic-term")
+FORMER_FIELDS = {"along-travel": "shape"}  # of causes that were a sum, too
 
 
 def library() -> tuple[Cause, ...]:
@@ -173,7 +174,7 @@ def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -
     name, bound = description["name"], {key: _to_tuples(value) for key, value in description.items()}
     if name.startswith(COVARIATE_PREFIX):
         return Covariate(**{key: value for key, value in bound.items() if key != "name"})
-    if name in FORMER:
+    if name in FORMER or FORMER_FIELDS.get(name) in bound:
         raise InputError(
             f"the saved law has a {name!r} of an earlier version, where it meant something else; "
             "diagnose the log again"

@@ -18,6 +18,8 @@ from stickslip_fit._format import (
 )
 from stickslip_fit.causes import EndStopMisfire
 from stickslip_fit.causes.parameters import plain_description
+from stickslip_fit.causes.profile import AlongTravel
+from stickslip_fit.causes.proposed import SmoothTerm
 from stickslip_fit.diagnosis._stage_summary import describe_reading
 from stickslip_fit.diagnosis._unknown_summary import (
     describe_carrier,
@@ -31,9 +33,12 @@ from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import MISFIRE, DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
+from stickslip_fit.diagnosis.travel_profile import format_extremes
 from stickslip_fit.estimation._gaps import fill_gaps
 
 MANY_SESSIONS = 3  # above which they are counted instead of named
+STANDS_OUT = 2.0  # times the profile of any other session
+MAX_PROFILES = 4  # told one by one
 NOISY = 2.0  # times the noise of the quietest session
 COMMON = {
     "configuration": "in some configurations",
@@ -85,9 +90,9 @@ class LogWords(Words):
         """See `Words`."""
         first, *others = self.diagnosis.findings
         return [
-            f"{self.describe_finding(first)}.",
+            f"{self.describe_finding(first)}.{self._describe_travel(first)}",
             self._describe_gain(first),
-            *map(self.describe_side_effect, others),
+            *(f"{self.describe_side_effect(one)}{self._describe_travel(one)}" for one in others),
             *(describe_reading(one, intervals=False) for one in self.diagnosis.stage if one.suffices),
             *describe_noise(self.diagnosis),
             *describe_gaps(self.diagnosis),
@@ -105,6 +110,32 @@ class LogWords(Words):
             "joint": f"{row['joint']} {format_direction(str(row['direction']))}",
             "steps": f"{row['steps']:,}",
         }
+
+    def _describe_travel(self, finding: Finding) -> str:
+        """Where along the travel steps are smallest and largest, as a sentence with a space before it.
+
+        Empty where parameters tell it, and where each session has a function and none stands out.
+        """
+        profiles = sorted(finding.travel, key=lambda one: -one.rms)
+        if not profiles or not isinstance(finding.version, AlongTravel | SmoothTerm):
+            return ""
+        begin, session = "", profiles[0].session
+        if session:
+            rest = max((one.rms for one in profiles if one.session != session), default=0.0)
+            if profiles[0].rms < STANDS_OUT * rest:
+                return ""
+            profiles = [one for one in profiles if one.session == session]
+            sizes = f"{format_percent(profiles[0].rms)} rms, others at most {format_percent(rest)}"
+            begin = f"Session {session} stands out ({sizes}): "
+        told = []
+        for one in sorted(profiles[:MAX_PROFILES], key=lambda one: (one.joint, one.direction)):
+            least, most = format_extremes(one, self.diagnosis.require_log().machine)
+            where = [f"joint {one.joint}"] if len({one.joint for one in profiles}) > 1 else []
+            where += [f"direction {format_direction(one.direction)}"] if one.direction else []
+            scope = f"in {', '.join(where)} " if where else ""
+            told.append(f"{scope}steps are smallest at {least} and largest at {most}")
+        text = begin + "; ".join(told)
+        return f" {capitalize_first(text)}."
 
     def _describe_gain(self, finding: Finding) -> str:
         diagnosis = self.diagnosis

@@ -29,9 +29,9 @@ from stickslip_fit.diagnosis.extension import (
     absorb_unknown,
     add_candidates,
     compute_evidence,
-    extend_problem,
     make_selected,
     name_explained,
+    try_extension,
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_finite_effects, make_hypothesis
 from stickslip_fit.diagnosis.influence import assess_support
@@ -104,7 +104,10 @@ def first_of_pair(
         lacking += [highest - most[cause] for cause in most if cause not in causes]
     for cause in causes:
         first = make_selected(misfit, form_cause_set(misfit, cause))
-        left, second, unknown = _next_cause(extend_problem(problem, [*selected, first]), [*selected, first])
+        extension = try_extension(problem, [*selected, first])
+        if extension is None:
+            continue
+        left, second, unknown = _next_cause(extension, [*selected, first])
         pair = evidence[cause] + left.log_evidence_by_cause.get(second, -np.inf)
         if second == UNKNOWN:
             continue
@@ -117,7 +120,10 @@ def first_of_pair(
     if best is not None or not pairs:
         return Search(best, min(lacking))
     pair, both = max(pairs, key=lambda scored: scored[0])
-    left, third, unknown = _next_cause(extend_problem(problem, [*selected, *both]), [*selected, *both])
+    extension = try_extension(problem, [*selected, *both])
+    if extension is None:
+        return Search(None, min(lacking))
+    left, third, unknown = _next_cause(extension, [*selected, *both])
     share = left.log_evidence_by_cause.get(third, -np.inf)
     if third == UNKNOWN:
         return Search(None, min(lacking))
@@ -336,9 +342,11 @@ def find_exchange(
     best, likelihoods = None, dict[str, float]()
     for rival in rivals:
         one = make_selected(current.test, form_cause_set(current.test, rival), refits.starts)
-        extension = refits.extensions.get(rival) or extend_problem(problem, [*others, one])
-        left, _, unknown = _next_cause(extension, [*others, one], [current.cause])
-        alone = penalised_likelihood(*extension[:2])
+        of_rival = refits.extensions.get(rival) or try_extension(problem, [*others, one])
+        if of_rival is None:
+            continue
+        left, _, unknown = _next_cause(of_rival, [*others, one], [current.cause])
+        alone = penalised_likelihood(*of_rival[:2])
         for second in _likely_seconds(left, unknown, problem):
             likely = alone + left.log_evidence_by_cause[second]
             if problem.autocorrelation is None and likely < to_beat - PAIR_LOG_PENALTY:
@@ -346,7 +354,10 @@ def find_exchange(
             two = make_selected(left, form_cause_set(left, second))
             if (getattr(two.version, "amplitude", None) or 0.0) > two.version.max_trial_factor:
                 continue  # a function of implausible size that only makes up for the rival
-            likelihood = penalised_likelihood(*extend_problem(problem, [*others, one, two])[:2])
+            of_both = try_extension(problem, [*others, one, two])
+            if of_both is None:
+                continue
+            likelihood = penalised_likelihood(*of_both[:2])
             likelihoods[rival] = max(likelihood, likelihoods.get(rival, -np.inf))
             if likelihood > to_beat:
                 best, to_beat = Combination(one, (second,)), likelihood
@@ -424,7 +435,9 @@ def revise_causes(
         if getattr(causes[place].version, "is_restricted", False):
             continue
         others = [one for k, one in enumerate(revised) if k != place]
-        extension = extend_problem(problem, others)
+        extension = try_extension(problem, others)
+        if extension is None:
+            continue
         trial, linearized = extension[0], absorb_unknown(extension, others)
         misfit = compute_evidence(linearized, trial, name_explained(others))
         if not misfit.hypotheses:  # beside a proposal for the same column, of which all forms count
@@ -459,7 +472,9 @@ def find_needless(
     found = []
     for place in range(len(selected)):
         others = [one for k, one in enumerate(selected) if k != place]
-        extension = extend_problem(problem, others)
+        extension = try_extension(problem, others)
+        if extension is None:
+            continue
         likelihood = penalised_likelihood(*extension[:2])
         if likelihood > to_beat:
             found.append((likelihood, others, extension))

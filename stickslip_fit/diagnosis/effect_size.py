@@ -35,6 +35,7 @@ from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, predict_departures
 from stickslip_fit.diagnosis.separability import is_distinguishable
+from stickslip_fit.diagnosis.travel_profile import find_travel_profiles
 from stickslip_fit.diagnosis.unknown_size import N_DRAWS, size_unknown
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.units import Z_95, Interval
@@ -82,15 +83,19 @@ def _size_cause(selection: Selection, selected: SelectedCause, covariance: Array
         or not is_distinguishable(misfit.best_hypothesis(selected.cause), misfit, rival, strength)
     )
     parameters = _size_parameters(selected.version, selected.cause, values, covariance[place, place])
+    rows = selection.problem.rows
+    laws = [part.law for part in selection.problem.parts if acts_on(selected.version, part.law)]
+    joints = joints_of_laws(laws)
     return Finding(
         selected.cause,
         selected.version,
         rivals,
         selected.p_value,
-        joints_of_laws(part.law for part in selection.problem.parts if acts_on(selected.version, part.law)),
+        joints,
         size,
-        _bound_moment(parameters, selected.version, misfit, selection.problem.rows),
+        _bound_moment(parameters, selected.version, misfit, rows),
         together_with=selected.together_with,
+        travel=find_travel_profiles(selected.version, values, covariance[place, place], joints, rows),
     )
 
 
@@ -197,8 +202,13 @@ def _with_law(finding: Finding, selection: Selection, selected: SelectedCause, c
     carrier = " and ".join(version.carriers) if is_of_columns else finding.carrier
     carrier = str(version) if isinstance(version, PeriodicTerm | PeriodicTableTerm) else carrier
     values = selection.fit.values[place]
-    parameters = _size_parameters(version, UNKNOWN, values, covariance[place, place]) if formula else ()
-    return replace(finding, version=version, term=formula, carrier=carrier, parameters=parameters)
+    errors = covariance[place, place]
+    parameters = _size_parameters(version, UNKNOWN, values, errors) if formula else ()
+    joints = joints_of_laws(part.law for part in selection.problem.parts if acts_on(version, part.law))
+    travel = find_travel_profiles(version, values, errors, joints, selection.problem.rows)
+    return replace(
+        finding, version=version, term=formula, carrier=carrier, parameters=parameters, travel=travel
+    )
 
 
 def _size_outliers(selection: Selection, problem: DiagnosisProblem, selected: SelectedCause) -> Finding:

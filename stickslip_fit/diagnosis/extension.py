@@ -182,6 +182,14 @@ def extend_problem(problem: DiagnosisProblem, selected: Sequence[SelectedCause])
     return problem, fit, linearize_with_causes(problem, fit, causes)
 
 
+def try_extension(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> Extension | None:
+    """The same of causes that are tried only; None where their laws have no finite fit."""
+    try:
+        return extend_problem(problem, selected)
+    except np.linalg.LinAlgError:
+        return None
+
+
 def explain_unevenness(
     problem: DiagnosisProblem,
     linearized: LinearizedFit,

@@ -6,9 +6,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import astuple, dataclass, field
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import format_percent, format_significant, pluralize
+from stickslip_fit._typing import Array
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.diagnosis.lagged import LaggedColumn
 from stickslip_fit.units import UNITS, Interval, from_si
@@ -116,6 +118,34 @@ class Gain:
         return before, after
 
 
+@dataclass(frozen=True, eq=False)
+class TravelProfile:
+    """The step size along a joint's travel, relative to its mean there.
+
+    Attributes
+    ----------
+    joint : int
+    direction, session : str
+        Of the traverses that it holds for; empty for all.
+    position : array, shape (n,)
+        Places from one end of the travel to the other, rad or m.
+    change, error : array, shape (n,)
+        Of the step size, relative, with one standard error.
+    """
+
+    joint: int
+    direction: str
+    session: str
+    position: Array
+    change: Array
+    error: Array
+
+    @property
+    def rms(self) -> float:
+        """Of the change."""
+        return float(np.sqrt(np.mean(self.change**2)))
+
+
 @dataclass(frozen=True)
 class Finding:
     """A named cause, or structure without a known cause.
@@ -157,6 +187,8 @@ class Finding:
         The same by the cause's equation alone, for causes of which that has one shape.
     lagged : LaggedColumn or None
         For ``unknown``: a column that the structure follows with a lag.
+    travel : tuple of TravelProfile
+        Where it follows the joints' own positions, and nothing else.
     """
 
     cause: str
@@ -178,6 +210,7 @@ class Finding:
     explains: Mapping[str, float] = field(default_factory=dict)
     explains_by_equation: Mapping[str, float] = field(default_factory=dict)
     lagged: LaggedColumn | None = None
+    travel: tuple[TravelProfile, ...] = ()
 
     @property
     def cause_set(self) -> tuple[str, ...]:

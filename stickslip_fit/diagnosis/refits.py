@@ -16,9 +16,9 @@ from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR, form_c
 from stickslip_fit.diagnosis.extension import (
     Extension,
     SelectedCause,
-    extend_problem,
     fit_causes,
     make_selected,
+    try_extension,
 )
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, compute_effects
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
@@ -41,7 +41,7 @@ class Refits:
     starts : dict of str to array
         Values of their parameters then.
     extensions : dict of str to (DiagnosisProblem, ExtendedFit, LinearizedFit)
-        As of `extend_problem`, where the noise was re-estimated as well.
+        As of `try_extension`, where the noise was re-estimated as well.
     failed : tuple of str
         Causes whose fit failed; the test no longer has them.
     """
@@ -92,7 +92,11 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
             starts[cause] = fit.values[len(fit.values) - len(one.start) :]
         if problem.autocorrelation is not None and len(likeliest) > 1:
             one = replace(one, start=starts.get(cause, one.start))
-            extensions[cause] = extended, fit, _ = extend_problem(problem, [*selected, one])
+            extension = try_extension(problem, [*selected, one])
+            if extension is None:
+                failed.append(cause)
+                continue
+            extensions[cause] = extended, fit, _ = extension
             likelihoods[cause], of_moments[cause] = penalised_likelihood(extended, fit), price_moments(fit)
     if likelihoods:
         highest, best = max(evidence[cause] for cause in likelihoods), max(likelihoods.values())

@@ -48,6 +48,7 @@ from stickslip_fit.diagnosis.extension import (
     linearize_with_causes,
     make_selected,
     name_explained,
+    try_extension,
 )
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.hypotheses import (
@@ -337,8 +338,8 @@ class _ForwardSelection:
         chosen = [*chosen[:-1], replace(chosen[-1], cause_set=cause_set)]
         if exchange.found is not None:
             trial = [*chosen[:-1], exchange.found.first]
-            other = refits.extensions.get(trial[-1].cause) or extend_problem(problem, trial)
-            if (other_test := self.assess(other, trial)).p_value < self.level:
+            other = refits.extensions.get(trial[-1].cause) or try_extension(problem, trial)
+            if other is not None and (other_test := self.assess(other, trial)).p_value < self.level:
                 self.combinations.append((trial[-1].cause, *exchange.found.others))
                 return trial, other, other_test
         return chosen, extension, last

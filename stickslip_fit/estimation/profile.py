@@ -19,6 +19,7 @@ from stickslip_fit.causes import Cause
 from stickslip_fit.causes.base import ExtendedLaw
 from stickslip_fit.causes.kinds import FactorCause
 from stickslip_fit.causes.profile import AlongTravel
+from stickslip_fit.causes.proposed import POSITION
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.least_squares import fit_least_squares
 from stickslip_fit.estimation.noise import Flag
@@ -39,9 +40,21 @@ OTHER_STRETCHES_TEXT = (
 )
 
 
+def follows_travel(cause: object) -> bool:
+    """Whether a cause multiplies the step size by a function of the joint's own position alone.
+
+    That may be another one in each session; a function of the load varies along a traverse, too, and follows
+    the configuration.
+    """
+    if not isinstance(cause, FactorCause) or not cause.varies_along_traverse:
+        return False
+    carriers = getattr(cause, "carriers", (POSITION,))
+    return {*carriers} == {POSITION} and {*cause.columns} <= {"session"}
+
+
 def follows_position(cause: Cause) -> bool:
-    """Whether a cause multiplies the step size by a function of the joint's own position."""
-    return isinstance(cause, FactorCause) and cause.varies_along_traverse and not cause.columns
+    """Whether a cause multiplies the step size by one function of the joint's own position in all."""
+    return follows_travel(cause) and not cause.columns
 
 
 def has_profile(fit: JointFit) -> bool:

@@ -1,4 +1,4 @@
-"""The figure of the step size along a joint's travel."""
+"""Figures of the step size along a joint's travel: of a fit with its traverses, and of a finding."""
 
 from __future__ import annotations
 
@@ -8,7 +8,18 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from stickslip_fit._format import coordinate_unit, format_direction, format_percent, join_words, joint_name
+from stickslip_fit._format import (
+    capitalize_first,
+    coordinate_unit,
+    format_direction,
+    format_percent,
+    join_words,
+    joint_name,
+    position_unit,
+)
+from stickslip_fit.diagnosis.finding import Finding, TravelProfile
+from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.travel_profile import format_extremes
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.profile import Profile, compute_profiles, has_profile
 from stickslip_fit.machine import Machine
@@ -23,7 +34,9 @@ from stickslip_fit.plotting._style import (
     set_angle_ticks,
 )
 from stickslip_fit.plotting._svg import Picture, make_picture
-from stickslip_fit.units import from_si
+from stickslip_fit.units import Z_95, from_si
+
+MAX_PANELS, PANELS_ACROSS = 8, 4
 
 
 def profile_pictures(rows: pd.DataFrame, fit: Result) -> list[Picture]:
@@ -98,4 +111,76 @@ def draw_profiles(profiles: Sequence[Profile], joint: int, machine: Machine, *, 
             set_angle_ticks(axis, low, high, 10)
         axis.set_xlabel(f"q{joint} ({'°' if unit == 'deg' else unit})")
         axis.set_ylabel("step size, relative (%)")
+    return figure
+
+
+def travel_picture(finding: Finding, machine: Machine) -> Picture:
+    """What a finding makes of the step size along the travel, with its errors; `Finding.travel` has some."""
+    kinds = {(one.joint, one.session): one.rms for one in finding.travel}
+    largest = sorted(kinds, key=lambda kind: -kinds[kind])[:MAX_PANELS]
+    shown = [one for one in finding.travel if (one.joint, one.session) in largest]
+    what = "the extended law" if finding.cause == UNKNOWN else finding.cause
+    caption = (
+        "How much larger a step is than on average along the travel that traverses covered; bands: 95 % of "
+        f"what it may be. {capitalize_first(_describe_largest(shown, machine))}."
+    )
+    if len(largest) < len(kinds):
+        caption += f" The {MAX_PANELS} of {len(kinds)} profiles that vary most."
+    key = "travel-" + "".join(letter if letter.isalnum() else "-" for letter in finding.cause)
+    title = f"The step size along the travel, by {what}"
+    return make_picture(key, title, caption, draw_travel(shown, machine))
+
+
+def _describe_largest(profiles: Sequence[TravelProfile], machine: Machine) -> str:
+    """Where the profile that varies most has its extremes."""
+    most = max(profiles, key=lambda one: one.rms)
+    names = [joint_name(most.joint, machine)]
+    names += [f"session {most.session}"] if most.session else []
+    names += [f"direction {format_direction(most.direction)}"] if most.direction else []
+    smallest, largest = format_extremes(most, machine)
+    of_several = " (the profile that varies most)" if len(profiles) > 1 else ""
+    return f"{', '.join(names)}{of_several}: smallest at {smallest}, largest at {largest}"
+
+
+def draw_travel(profiles: Sequence[TravelProfile], machine: Machine) -> Figure:
+    """A panel for each joint and session."""
+    kinds = list(dict.fromkeys((one.joint, one.session) for one in profiles))
+    across = min(len(kinds), PANELS_ACROSS)
+    down = -(-len(kinds) // across)
+    colours = {**DIRECTION_COLOURS, "": INK}
+    signs = sorted({one.direction for one in profiles})
+    with report_style():
+        legend = [
+            make_legend_entry(
+                f"direction {format_direction(sign)}" if sign else "both directions", colours[sign], line="-"
+            )
+            for sign in signs
+        ]
+        figure, axes = make_figure(
+            [1.9 if down == 1 else 1.3] * down,
+            across,
+            legend,
+            top=0.3,
+            bottom=0.45,
+            down=0.62,
+            share_x="none",
+            share_y="all",
+        )
+        for axis, (joint, session) in zip(axes.flat, kinds, strict=False):
+            unit = position_unit(joint, machine)
+            axis.axhline(0.0, color=INK, lw=0.6)
+            for one in profiles:
+                if (one.joint, one.session) == (joint, session):
+                    x, y, band = from_si(one.position, unit), 100 * one.change, 100 * Z_95 * one.error
+                    axis.fill_between(x, y - band, y + band, color=colours[one.direction], alpha=0.2, lw=0)
+                    axis.plot(x, y, color=colours[one.direction])
+            if unit == "deg":
+                low, high = axis.get_xlim()
+                set_angle_ticks(axis, low, high, 10 if across == 1 else 5)
+            axis.set_xlabel(f"q{joint} ({'°' if unit == 'deg' else unit})")
+            axis.set_title(session or joint_name(joint, machine), loc="left")
+        for axis in axes.flat[len(kinds) :]:
+            axis.set_visible(False)
+        for axis in axes[:, 0]:
+            axis.set_ylabel("step size, relative (%)")
     return figure

@@ -16,6 +16,7 @@ from stickslip_fit.diagnosis.residuals import ResidualComparison, compare_residu
 from stickslip_fit.estimation._table_summary import describe_fit, parameters_table
 from stickslip_fit.plotting._svg import Picture
 from stickslip_fit.plotting.diagnosis import confusion_picture, gain_picture, machine_of, ranking_picture
+from stickslip_fit.plotting.profile import travel_picture
 from stickslip_fit.plotting.residuals import finding_picture, residuals_overview_picture
 from stickslip_fit.plotting.table import columns_picture, finding_pictures, measured_picture
 
@@ -66,13 +67,15 @@ def _law_section(diagnosis: Diagnosis, table: TableInfo, command: str) -> Sectio
 
 
 def _finding_pictures(diagnosis: Diagnosis, comparison: ResidualComparison) -> Iterator[Picture]:
-    """Residuals before and after each finding that has a shape."""
+    """Residuals before and after each finding that has a shape, and its profile along the travel."""
     machine = machine_of(diagnosis)
     for finding in diagnosis.findings:
         cause = diagnosis.selection.behind(finding)
         if cause.misfit is not None:
             shape = finding_shape(diagnosis.selection, cause)
             yield finding_picture(finding, cause, shape, comparison, machine)
+        if finding.travel:
+            yield travel_picture(finding, machine)
 
 
 def first_finding_picture(diagnosis: Diagnosis) -> Picture | None:

@@ -223,15 +223,15 @@ CASES = (
         form="by direction",
     ),
     Case(
-        AlongTravel(travel=TRAVEL, shape=(1.0, 0.5)),
-        Effect(factor=lambda s, *c: 1 + profile(s, c[2 * s.joint - 2 : 2 * s.joint])),
+        AlongTravel(travel=TRAVEL, sds=(1.0, 0.5)),
+        Effect(factor=lambda s, *c: exp(profile(s, c[2 * s.joint - 2 : 2 * s.joint]))),
         ((0.02, -0.01, 0.03, 0.01, -0.02, 0.04), (0.1, 0.1, 0.0, -0.2, 0.15, 0.0)),
     ),
     Case(
-        AlongTravel(travel=TRAVEL[1:], directions=("+", "-"), shape=(1.0,), amplitude=3.0),
+        AlongTravel(travel=TRAVEL[1:], directions=("+", "-"), sds=(1.0,), amplitude=3.0),
         Effect(
             factor=lambda s, a, b, c, d: (
-                1 + profile(s, [by_way(s, a, b), by_way(s, c, d)][s.joint - 2 :][:1]) if s.joint > 1 else 1
+                exp(profile(s, [by_way(s, a, b), by_way(s, c, d)][s.joint - 2 :][:1])) if s.joint > 1 else 1
             )
         ),
         ((0.02, -0.01, 0.03, 0.05), (0.1, 0.1, -0.2, 0.0)),

@@ -35,16 +35,14 @@ def ridge(log, version):
     ends = rows[["start", "stop"]].to_numpy(float)
     ((_, low, high),) = version.travel
     inside = np.linspace(ends[:, 0], ends[:, 1], 41, axis=1)
-    k = np.arange(1, len(version.shape) + 1)
+    k = np.arange(1, len(version.sds) + 1)
     means = np.trapezoid(np.cos(np.pi * k * (inside[:, :, None] - low) / (high - low)), axis=1) / 40
     y = np.log(np.abs(np.diff(ends)[:, 0]) / rows["steps"].to_numpy(float))
-    # Of log(1 + f) about its last value: one Newton step more than the linear solution suffices.
     sd = np.array([parameter.prior_sd for parameter in version.parameters])
     sigma2, values = SIGMA**2, np.zeros(1 + len(k))
     for _ in range(30):
-        f = means @ values[1:]
-        slopes = np.column_stack([np.ones(N), means / (1 + f)[:, None]])
-        residual = y - values[0] - np.log1p(f)
+        slopes = np.column_stack([np.ones(N), means])
+        residual = y - slopes @ values
         curvature = slopes.T @ slopes / sigma2
         prior = np.append(0.0, 1.0 / sd**2)
         values += np.linalg.solve(curvature + np.diag(prior), slopes.T @ residual / sigma2 - prior * values)

@@ -1,0 +1,117 @@
+"""The step size along the travel as a finding has it: close to the truth within its errors, and told."""
+
+import numpy as np
+import pytest
+
+import stickslip_fit as ssf
+from stickslip_fit.plotting.profile import travel_picture
+from stickslip_fit.reporting.diagnosis import diagnosis_page
+
+MACHINE = '[[joint]]\nkind = "rotary"\nrange_deg = [0, 360]\n'
+SESSIONS = ("d1", "d2", "d3")
+
+
+def write_log(folder, factor, *, seed=3):
+    """60 traverses a session, each way along the same stretches of a turntable; noise of 0.3 %."""
+    (folder / "machine.toml").write_text('name = "turntable"\n' + MACHINE, "utf-8")
+    rng, lines = (
+        np.random.default_rng(seed),
+        ["session,joint,direction,steps,check_every,q1_deg,from_deg,to_deg"],
+    )
+    for session in SESSIONS:
+        for k in range(60):
+            low = rng.uniform(0, 320)
+            high = low + rng.uniform(20, 40)
+            places = low + (high - low) * (np.arange(400) + 0.5) / 400
+            sign = 1 if k % 2 else -1
+            count = np.mean(1 / factor(places, sign, session)) * (high - low) / 0.005
+            count *= np.exp(0.003 * rng.standard_normal())
+            ends = (low, high) if sign > 0 else (high, low)
+            lines.append(f"{session},1,{'+' if sign > 0 else '-'},{count:.0f},1,,{ends[0]:.3f},{ends[1]:.3f}")
+    (folder / "log.csv").write_text("\n".join(lines), "utf-8")
+    return ssf.read_log(folder / "log.csv", machine=ssf.load_machine(folder / "machine.toml"))
+
+
+def bump(places, height, middle, width):
+    return height * np.exp(-0.5 * ((places - middle) / width) ** 2)
+
+
+def departures(profile, truth):
+    """By how many of its errors a profile is off, relative to its mean as the truth is."""
+    true = truth(np.degrees(profile.position))
+    return (profile.change - (true / true.mean() - 1)) / profile.error
+
+
+def test_the_profile_and_its_extremes_are_those_of_the_motor(tmp_path):
+    def truth(places):
+        return 1 + bump(places, -0.10, 120, 25) + 0.03 * np.sin(np.radians(places))
+
+    diagnosis = ssf.diagnose(write_log(tmp_path, lambda places, *_: truth(places)), gain=False)
+    (finding,) = diagnosis.findings
+    (profile,) = finding.travel
+    assert (finding.cause, profile.joint, profile.direction, profile.session) == ("along-travel", 1, "", "")
+    off = departures(profile, truth)
+    assert np.mean(np.abs(off) < 2) > 0.8
+    assert np.degrees(profile.position[np.argmin(profile.change)]) == pytest.approx(120, abs=5)
+    assert profile.change.min() == pytest.approx(-0.058, abs=0.004)  # 0.926 of 0.983
+    said = diagnosis.summary().headline[0]
+    assert "Steps are smallest at 12" in said
+    assert "and largest at" in said
+    assert "smallest at 12" in travel_picture(finding, diagnosis.log.machine).caption
+
+
+def test_each_direction_has_its_own(tmp_path):
+    def truth(places, sign, _):
+        return 1 + (bump(places, -0.10, 100, 25) if sign > 0 else bump(places, 0.10, 250, 25))
+
+    (finding,) = ssf.diagnose(write_log(tmp_path, truth), gain=False).findings
+    there, back = finding.travel
+    assert [there.direction, back.direction] == ["+", "-"]
+    assert np.degrees(there.position[np.argmin(there.change)]) == pytest.approx(100, abs=6)
+    assert np.degrees(back.position[np.argmax(back.change)]) == pytest.approx(250, abs=6)
+
+
+def test_a_session_that_stands_out_is_named_and_drawn(tmp_path):
+    def truth(places, sign, session):
+        return 1 + bump(places, -0.08, 240, 20) * (session == "d2")
+
+    diagnosis = ssf.diagnose(write_log(tmp_path, truth), gain=False)
+    (finding,) = diagnosis.findings
+    assert [one.session for one in finding.travel] == list(SESSIONS)
+    quiet, loud, other = finding.travel
+    assert max(quiet.rms, other.rms) < 0.3 * loud.rms
+    assert np.mean(np.abs(departures(loud, lambda places: truth(places, 1, "d2"))) < 2) > 0.8
+    assert "Session d2 stands out" in diagnosis.summary().headline[0]
+    page = diagnosis_page(diagnosis)
+    assert "The step size along the travel" in page
+    assert "session d2" in page
+
+
+def test_no_session_is_named_where_all_have_profiles_of_their_own(tmp_path):
+    def truth(places, sign, session):
+        return 1 + bump(places, -0.08, {"d1": 80, "d2": 180, "d3": 280}[session], 20)
+
+    diagnosis = ssf.diagnose(write_log(tmp_path, truth), gain=False)
+    assert len(diagnosis.findings[0].travel) == 3
+    assert "stands out" not in diagnosis.summary().headline[0]
+
+
+def test_what_follows_the_time_has_no_profile(tmp_path):
+    diagnosis = ssf.diagnose(write_log(tmp_path, lambda places, *_: np.ones_like(places)), gain=False)
+    assert all(not one.travel for one in diagnosis.findings)
+
+
+@pytest.mark.parametrize("height", [0.8, 1.6])
+def test_steps_that_are_several_times_larger_in_one_place_than_in_another(tmp_path, height):
+    """A sum of cosines leaves a third of this, and is below 0 somewhere, where counts are no numbers."""
+
+    def truth(places, sign, _):
+        waves = np.sin(np.radians(2 * places + 60 * sign))
+        return np.exp(height * (waves + bump(places, -1.5, 200, 12)))
+
+    diagnosis = ssf.diagnose(write_log(tmp_path, truth))
+    assert diagnosis.findings[0].cause == "along-travel"
+    assert diagnosis.gain.extended < 0.03 * diagnosis.gain.baseline
+    for one, sign in zip(diagnosis.findings[0].parameters, (1, -1), strict=True):
+        true = truth(np.linspace(0, 360, 1000), sign, "")
+        assert one.size.estimate == pytest.approx(true.std() / true.mean(), rel=0.15)
