@@ -486,12 +486,15 @@ class ProposedTerm(LinearFactor):
         As of a `SmoothTerm`.
     largest : float
         Size of the product, SI, where it is largest.
+    each : bool
+        Whether each direction has a size of its own.
     """
 
     factors: tuple[tuple[Any, ...], ...] = (("x", POSITION, 0.0, 1.0),)
     on: tuple[tuple[int, str], ...] = ()
     mode: Mode = "same"
     largest: float = 1.0
+    each: bool = False
 
     name = "proposed-term"
     phrase = "steps follow a term that no cause describes"
@@ -504,12 +507,13 @@ class ProposedTerm(LinearFactor):
         powers = Counter[str]()
         for factor in self.factors:
             powers.update(CarrierFunction(*factor).powers)
-        return (CauseParameter("k", share_per(powers), f"size of the proposed term {self.formula}"),)
+        k = CauseParameter("k", share_per(powers), f"size of the proposed term {self.formula}")
+        return tuple(replace(k, direction=way) for way in "+-") if self.each else (k,)
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `Cause`."""
-        return (SMOOTH_SCALE / self.largest,)
+        return (SMOOTH_SCALE / self.largest,) * len(self.parameters)
 
     @property
     def carriers(self) -> tuple[str, ...]:
@@ -530,7 +534,7 @@ class ProposedTerm(LinearFactor):
     def formula(self) -> str:
         """For people, such as ``k * sin(q1) * load, joint 2, + only``."""
         text = "k * " + " * ".join(str(CarrierFunction(*factor)) for factor in self.factors)
-        return text + describe_where(self.on, self.mode)
+        return text + describe_where(self.on, self.mode) + ", k by direction" * self.each
 
     def acts_on(self, law: StepLaw) -> bool:
         """See `Cause.acts_on`."""
@@ -551,6 +555,11 @@ class ProposedTerm(LinearFactor):
         if self.on:
             function = function * sum(_acts(state, joint, way) for joint, way in self.on)
         return np.asarray(function[..., None])
+
+    def acts(self, state: State) -> Array:
+        """See `LinearFactor.acts`."""
+        forward = 1.0 * (state.direction_sign > 0)
+        return np.concatenate([forward, 1.0 - forward], axis=1) if self.each else super().acts(state)
 
 
 @dataclass(frozen=True)

@@ -187,6 +187,7 @@ def _scope(parameter: SizedParameter) -> str:
     """The joint, direction and session of a parameter; empty for the whole campaign."""
     direction = format_direction(parameter.direction)
     joint = f"joint {parameter.joint} {direction}".strip() if parameter.joint else ""
+    joint = joint or (f"direction {direction}" if direction else "")
     session = f"session {parameter.session}" if parameter.session else ""
     return ", ".join(filter(None, [joint, session]))
 

@@ -146,7 +146,7 @@ def describe_proposal(finding: Finding) -> str:
             f"a smooth function of {what}{each} is proposed; {worth}"
         )
     sizes = [
-        f"{one.name} = "
+        f"{one.name}{f' ({format_direction(one.direction)})' if one.direction else ''} = "
         f"{format_uncertain(one.size.estimate, (one.size.high - one.size.low) / (2 * Z_95), one.unit)}"
         for one in finding.parameters
     ]

@@ -52,8 +52,13 @@ class Dictionary:
     excluded : array of bool, shape (p, m)
         Expressions that are not tried on a set.
     make : callable
-        From a set, an expression, and the coefficient of its effect to the term and its start values.
+        From a place, an expression, and the coefficients of its effects, to the term and its start values. A
+        place is a set with one coefficient, or, after these, a pair of sets with one each.
     n_factors : array of int, shape (m,)
+    pairs : sequence of (int, int), optional
+        Of sets which share no rows.
+    n_single : int, optional
+        The first sets, which have one coefficient; all without it.
     """
 
     def __init__(
@@ -63,21 +68,59 @@ class Dictionary:
         groups: Sequence[IntArray],
         combine: Array,
         excluded: BoolArray,
-        make: Callable[[int, int, float], tuple[Any, Array]],
+        make: Callable[[int, int, Array], tuple[Any, Array]],
         n_factors: Array,
+        pairs: Sequence[tuple[int, int]] = (),
+        n_single: int | None = None,
     ) -> None:
         whitened = linearized.whiten(columns)
         self.columns = linearized.project_own(whitened)
         self.groups, self.combine, self.make, self.n_factors = groups, combine, make, n_factors
         each = np.stack([np.sum(self.columns[rows] ** 2, axis=0) for rows in groups])
         shared = np.stack([linearized.shared_basis[rows].T @ self.columns[rows] for rows in groups])
-        absorbed = np.sum(np.tensordot(combine, shared, axes=1) ** 2, axis=1)
-        squares = combine**2 @ each - absorbed
+        of_sets = np.tensordot(combine, shared, axes=1)
+        squares = combine**2 @ each - np.sum(of_sets**2, axis=1)
+        self.pairs, self.n_single = pairs, len(combine) if n_single is None else n_single
+        self.cross = [-np.sum(of_sets[one] * of_sets[other], axis=0) for one, other in pairs]
         plain = np.stack([np.sum(whitened[rows] ** 2, axis=0) for rows in groups])
         too_small = squares < np.maximum(MIN_SHARE * (combine**2 @ plain), EFFECT_TOL**2)
         self.squares = np.where(too_small | excluded, np.inf, squares)
 
-    def along(self, residuals: Array) -> Array:
+    @property
+    def n_coefficients(self) -> IntArray:
+        """Of each place."""
+        return np.repeat([1, 2], [self.n_single, len(self.pairs)])
+
+    def explained(self, residuals: Array) -> Array:
+        """Of the squares of residuals, (n, k), by each place, (places, m, k)."""
+        along = self._along(residuals)
+        single = along**2 / self.squares[..., None]
+        both = [
+            single[one] + second**2 / left
+            for (one, other), cross in zip(self.pairs, self.cross, strict=True)
+            for second, left in [self._beside(one, other, cross, along)]
+        ]
+        return np.concatenate([single[: self.n_single], np.reshape(both, (len(both), *along.shape[1:]))])
+
+    def coefficients(self, place: int, best: int, residual: Array) -> Array:
+        """Of an expression in a place, (1,) or (2,), by residuals, (n,)."""
+        along = self._along(residual[:, None])
+        if place < self.n_single:
+            return along[place, best] / self.squares[place, best]
+        (one, other), cross = self.pairs[place - self.n_single], self.cross[place - self.n_single]
+        second, left = self._beside(one, other, cross, along)
+        own = second[best] / left[best]
+        return np.concatenate([(along[one, best] - cross[best] * own) / self.squares[one, best], own])
+
+    def _beside(self, one: int, other: int, cross: Array, along: Array) -> tuple[Array, Array]:
+        """Of another set's effects without what is along one's: inner products, (m, k), squares, (m, 1)."""
+        share = (cross / self.squares[one])[:, None]
+        squares = self.squares[other]
+        left = squares - cross * share[:, 0]
+        missing = ~np.isfinite(self.squares[one] + squares) | (left < MIN_SHARE * squares)
+        return along[other] - share * along[one], np.where(missing, np.inf, left)[:, None]
+
+    def _along(self, residuals: Array) -> Array:
         """Inner products with residuals, (n, k) -> (p, m, k)."""
         each = np.stack([self.columns[rows].T @ residuals[rows] for rows in self.groups])
         return np.tensordot(self.combine, each, axes=1)
@@ -117,6 +160,17 @@ def build_log_dictionary(linearized: LinearizedFit, machine: JointKinds) -> Dict
         places += [(both, "same"), (both, "opposite")]
         combine += [own, own * signs]
     places += [((group,), "same") for group in groups]
+    combine += list(np.eye(len(groups)))
+    n_single, first = len(places), len(places) - len(groups)
+    # With a size for each direction: a joint's two groups, and all joints'.
+    pairs = [(first + place, first + place + 1) for place in range(0, len(groups), 2)]
+    by_direction: list[tuple[tuple[tuple[int, str], ...], Mode]] = [((), "same")]
+    if len(joints) > 1:
+        by_direction = [(((number, "+"), (number, "-")), "same") for number in joints]
+        pairs.append((n_single, n_single + 1))
+        by_direction.append(((), "same"))
+        combine += [0.5 * (1.0 + signs), 0.5 * (1.0 - signs)]
+        places += [(tuple(group for group in groups if group[1] == way), "same") for way in "+-"]
     moved = [{one for one, _ in on or groups} for on, _ in places]
     together = np.array([len(own) > 1 for own in moved])
     slides = np.array([any(map(machine.is_prismatic, own)) for own in moved])
@@ -126,24 +180,26 @@ def build_log_dictionary(linearized: LinearizedFit, machine: JointKinds) -> Dict
     effects = np.stack([traverse_average(column) for column in columns], axis=1)
     largest = np.maximum(np.abs(effects).max(axis=0), np.finfo(float).tiny)
 
-    def make(place: int, best: int, coefficient: float) -> tuple[ProposedTerm, Array]:
-        on, mode = places[place]
-        own = position_unit(min(moved[place]), machine)
+    def make(place: int, best: int, coefficients: Array) -> tuple[ProposedTerm, Array]:
+        each, (on, mode) = bool(place >= n_single), [*places[:n_single], *by_direction][place]
+        own = position_unit(min({one for one, _ in on or groups}), machine)
         factors = [
             replace(factor, shown=own) if factor.carrier == POSITION else factor for factor in products[best]
         ]
         size = float(largest[best])
-        term = ProposedTerm(tuple(map(astuple, factors)), on, mode, size)
-        return term, np.array([-coefficient / size])  # a larger step makes fewer
+        term = ProposedTerm(tuple(map(astuple, factors)), on, mode, size, each)
+        return term, -coefficients / size  # a larger step makes fewer
 
     return Dictionary(
         linearized,
         effects / largest,
         [np.flatnonzero((joint == number) & (forward == (way == "+"))) for number, way in groups],
-        np.concatenate([combine, np.eye(len(groups))]),
+        np.array(combine),
         (together[:, None] & of_position) | (slides[:, None] & of_turn),
         make,
         np.array([len(product) for product in products]),
+        pairs,
+        n_single,
     )
 
 

@@ -193,19 +193,19 @@ def _find_term(
     """The likeliest short expression, best of some carriers; None where noise alone has one as likely."""
     if dictionary is None:
         return None
-    along = dictionary.along(misfit.residual[:, None])[..., 0]
-    squares = along**2 / dictionary.squares
-    criterion = squares - FACTOR_COST * dictionary.n_factors
+    # Each further coefficient pays as in the Bayesian information criterion: the simpler term where it does.
+    cost = np.log(len(misfit.residual)) * (dictionary.n_coefficients[:, None] - 1)
+    squares = dictionary.explained(misfit.residual[:, None])[..., 0]
+    criterion = squares - cost - FACTOR_COST * dictionary.n_factors
     # Of expressions that are the same in all rows, one of what the likeliest smooth function follows.
     same = [(int(k), int(m)) for k, m in np.argwhere(criterion >= criterion.max() - EQUAL * squares.max())]
-    versions = [dictionary.make(*one, 1.0)[0] for one in same]
+    versions = [dictionary.make(*one, np.ones(1))[0] for one in same]
     others = [{*one.carriers} != {*carriers} for one in versions]
     place, best = min(zip(others, _count_joints(versions, linearized.rows), same, strict=True))[2]
     left = remove_structure(misfit.residual, misfit.hypotheses, misfit.log_evidence, linearized.df).residual
     noise = linearized.project(rng.choice([-1.0, 1.0], (len(left), N_NULL_LOGS)) * left[:, None])
-    null = np.max(dictionary.along(noise) ** 2 / dictionary.squares[..., None], axis=(0, 1))
-    if squares[place, best] <= np.quantile(null, 1.0 - NULL_LEVEL):
+    null = np.max(dictionary.explained(noise) - cost[..., None], axis=(0, 1))
+    if squares[place, best] - cost[place, 0] <= np.quantile(null, 1.0 - NULL_LEVEL):
         return None
-    coefficient = float(along[place, best] / dictionary.squares[place, best])
-    version, start = dictionary.make(place, best, coefficient)
-    return _Term(version, start, float(squares[place, best]) - 2.0)
+    version, start = dictionary.make(place, best, dictionary.coefficients(place, best, misfit.residual))
+    return _Term(version, start, float(squares[place, best]) - 2.0 * len(start))

@@ -303,11 +303,11 @@ class TableAlternatives:
             groups = [np.flatnonzero(sign >= 0), np.flatnonzero(sign < 0)]
             combine = np.array([[1.0, 1.0], [1.0, -1.0]])
 
-        def make(place: int, best: int, coefficient: float) -> tuple[ProposedTableTerm, Array]:
+        def make(place: int, best: int, coefficients: Array) -> tuple[ProposedTableTerm, Array]:
             factors = tuple(astuple(factor) for factor in products[best])
             labels = self.labels if sets[place] else ()
             term = ProposedTableTerm(factors=factors, unit=self.unit, direction=sets[place], labels=labels)
-            return term, np.array([coefficient])
+            return term, coefficients
 
         return Dictionary(
             linearized,

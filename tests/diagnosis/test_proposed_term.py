@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import stickslip_fit as ssf
-from stickslip_fit.causes import Temperature, extend
+from stickslip_fit.causes import AlongTravel, Temperature, extend
 from stickslip_fit.causes.proposed import JointTerm, NestedTerm, ProposedTerm, SmoothTerm, TravelTerm
 from stickslip_fit.causes.registry import describe, restore
 from stickslip_fit.diagnosis import diagnose
@@ -147,6 +147,12 @@ def test_a_function_of_an_earlier_version_is_refused(hidden_logs):
     described = describe(extend(Prismatic(), SmoothTerm(("theta",), ((-0.5, 0.5),))))
     described["causes"][0]["name"] = "smooth-term"
     with pytest.raises(InputError, match="earlier version, where it meant something else; diagnose"):
+        restore(described, hidden_logs[0].machine)
+    described = describe(extend(Prismatic(), AlongTravel()))
+    assert restore(described, hidden_logs[0].machine).causes == (AlongTravel(),)
+    profile = described["causes"][0]
+    profile["shape"] = profile.pop("sds")
+    with pytest.raises(InputError, match="'along-travel' of an earlier version"):
         restore(described, hidden_logs[0].machine)
 
 
@@ -296,3 +302,53 @@ def test_a_short_term_may_follow_the_traverse_before(linearized, alternatives):
         version, error = law_for(linearized, alternatives, centred, expressions)
         assert version.formula.startswith(f"k * (({name} - ")
         assert error < 0.02
+
+
+@pytest.fixture(scope="module")
+def by_direction(tmp_path_factory):
+    """A slide's step size follows sin(psi), by -6 % in one direction, +2 % in the other; noise of 0.3 %."""
+    folder, rng = tmp_path_factory.mktemp("slide"), np.random.default_rng(11)
+    lines = ["session,joint,direction,steps,check_every,q1_mm,from_mm,to_mm,theta_deg,psi_deg"]
+    for k in range(240):
+        way, psi = "+-"[k % 2], rng.choice([-90, -45, 0, 30, 60, 90])
+        factor = 1 + np.sin(np.radians(psi)) * (-0.06 if way == "+" else 0.02)
+        steps = 1e4 / factor * np.exp(0.003 * rng.standard_normal())
+        ends = "0,10" if way == "+" else "10,0"
+        lines.append(f"d{k // 80},1,{way},{steps:.0f},1,,{ends},0,{psi}")
+    (folder / "log.csv").write_text("\n".join(lines), "utf-8")
+    (folder / "m.toml").write_text('name = "s"\n[[joint]]\nkind = "prismatic"\nrange_mm = [0, 10]\n', "utf-8")
+    return ssf.read_log(folder / "log.csv", machine=load_machine(folder / "m.toml"))
+
+
+def test_a_term_has_a_size_for_each_direction_where_one_does_not_suffice(by_direction):
+    diagnosis = diagnose(by_direction, gain=False)
+    (finding,) = diagnosis.findings
+    assert finding.term == "k * sin(psi), k by direction"
+    sizes = {one.direction: one.size for one in finding.parameters}
+    assert sizes["+"].low < -0.06 < sizes["+"].high
+    assert sizes["-"].low < 0.02 < sizes["-"].high
+    assert "k (+) = −6.0" in diagnosis.summary().headline[0]
+    law = diagnosis.extended_law().joints[1].law
+    assert restore(describe(law), by_direction.machine).causes == law.causes
+
+
+def test_what_pairs_of_places_explain_is_that_of_least_squares(hidden_logs):
+    """Also beside a cause whose parameter the directions share, which makes their effects dependent."""
+    problem = problem_from_log(hidden_logs[0])[0]
+    plain = problem.linearize()
+    both = np.random.default_rng(3).standard_normal((len(problem), 2))
+    for linearized in (plain, plain.absorb(plain.project(plain.whiten(both)))):
+        dictionary = build_log_dictionary(linearized, hidden_logs[0].machine)
+        residual = linearized.residual
+        explained = dictionary.explained(residual[:, None])[..., 0]
+        for place, (one, other) in enumerate(dictionary.pairs, dictionary.n_single):
+            best = int(np.argmax(explained[place]))
+            sets = np.zeros((len(residual), 2))
+            for column, which in enumerate((one, other)):
+                for rows, by in zip(dictionary.groups, dictionary.combine[which], strict=True):
+                    sets[rows, column] = by * dictionary.columns[rows, best]
+            effects = linearized.project(sets)
+            values, *_ = np.linalg.lstsq(effects, residual, rcond=None)
+            fitted = effects @ values
+            assert explained[place, best] == pytest.approx(fitted @ fitted, rel=1e-6)
+            np.testing.assert_allclose(dictionary.coefficients(place, best, residual), values, rtol=1e-5)

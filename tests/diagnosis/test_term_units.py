@@ -85,7 +85,7 @@ def test_every_formula_is_what_it_says(source, tmp_path):
     for best in range(dictionary.squares.shape[1]):
         if not np.isfinite(dictionary.squares[0, best]) or (dictionary.n_factors[best] > 1 and best % 5):
             continue
-        term, _ = dictionary.make(0, best, 1.0)
+        term, _ = dictionary.make(0, best, np.ones(1))
         if {POSITION, LOAD} & {*term.carriers}:  # of which an effect is an average along the traverse
             continue
         (parameter,) = term.parameters
@@ -105,8 +105,8 @@ def test_a_slide_has_no_harmonics_whatever_its_number(stage_log, tmp_path):
         linearized, machine = problem_from_log(log)[0].linearize(), log.machine
         dictionary = build_log_dictionary(linearized, machine)
         formulas, turned = set(), set()
-        for place, best in np.argwhere(np.isfinite(dictionary.squares)):
-            term, _ = dictionary.make(place, best, 1.0)
+        for place, best in np.argwhere(np.isfinite(dictionary.squares[: dictionary.n_single])):
+            term, _ = dictionary.make(place, best, np.ones(1))
             formulas.add(term.formula.split(", ")[0])
             if "sin(position)" in term.formula:
                 turned |= {joint for joint, _ in term.on}
@@ -167,8 +167,10 @@ def test_the_time_of_a_session_is_in_hours(tmp_path):
     log = read_generated(tmp_path, STAGE[:1], n=40, scatter=0.002, drift=0.006)
     linearized = problem_from_log(log)[0].linearize()
     dictionary = build_log_dictionary(linearized, log.machine)
-    along = dictionary.along(linearized.residual[:, None])[0, :, 0]
-    terms = (dictionary.make(0, m, each) for m, each in enumerate(along / dictionary.squares[0]))
+    terms = (
+        dictionary.make(0, m, dictionary.coefficients(0, m, linearized.residual))
+        for m in range(dictionary.squares.shape[1])
+    )
     term, start = next(one for one in terms if one[0].formula == "k * session time")
     assert term.parameters[0].unit == "%/h"
     assert start[0] / to_si(1.0, "%/h") == pytest.approx(0.6, rel=0.05)
