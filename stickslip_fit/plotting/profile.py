@@ -20,6 +20,7 @@ from stickslip_fit._format import (
 from stickslip_fit.diagnosis.finding import Finding, TravelProfile
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.travel_profile import format_extremes
+from stickslip_fit.errors import shorten
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.profile import Profile, compute_profiles, has_profile
 from stickslip_fit.machine import Machine
@@ -27,6 +28,7 @@ from stickslip_fit.plotting._style import (
     DIRECTION_COLOURS,
     INK,
     MARKERS,
+    LineStyle,
     direction_entries,
     make_figure,
     make_legend_entry,
@@ -34,9 +36,11 @@ from stickslip_fit.plotting._style import (
     set_angle_ticks,
 )
 from stickslip_fit.plotting._svg import Picture, make_picture
+from stickslip_fit.plotting.sides import find_key
 from stickslip_fit.units import Z_95, from_si
 
 MAX_PANELS, PANELS_ACROSS = 8, 4
+ROOM = 1.6  # times the largest change: a scale, beyond which bands are cut
 
 
 def profile_pictures(rows: pd.DataFrame, fit: Result) -> list[Picture]:
@@ -126,9 +130,8 @@ def travel_picture(finding: Finding, machine: Machine) -> Picture:
     )
     if len(largest) < len(kinds):
         caption += f" The {MAX_PANELS} of {len(kinds)} profiles that vary most."
-    key = "travel-" + "".join(letter if letter.isalnum() else "-" for letter in finding.cause)
     title = f"The step size along the travel, by {what}"
-    return make_picture(key, title, caption, draw_travel(shown, machine))
+    return make_picture(find_key("travel", finding), title, caption, draw_travel(shown, machine))
 
 
 def _describe_largest(profiles: Sequence[TravelProfile], machine: Machine) -> str:
@@ -147,15 +150,14 @@ def draw_travel(profiles: Sequence[TravelProfile], machine: Machine) -> Figure:
     kinds = list(dict.fromkeys((one.joint, one.session) for one in profiles))
     across = min(len(kinds), PANELS_ACROSS)
     down = -(-len(kinds) // across)
-    colours = {**DIRECTION_COLOURS, "": INK}
-    signs = sorted({one.direction for one in profiles})
+    styles: dict[str, tuple[str, str, LineStyle]] = {
+        "": ("both directions", INK, "-"),
+        "+": (f"direction {format_direction('+')}", DIRECTION_COLOURS["+"], "-"),
+        "-": (f"direction {format_direction('-')}", DIRECTION_COLOURS["-"], "--"),
+    }
     with report_style():
-        legend = [
-            make_legend_entry(
-                f"direction {format_direction(sign)}" if sign else "both directions", colours[sign], line="-"
-            )
-            for sign in signs
-        ]
+        shown = [style for sign, style in styles.items() if any(one.direction == sign for one in profiles)]
+        legend = [make_legend_entry(label, colour, line=line) for label, colour, line in shown]
         figure, axes = make_figure(
             [1.9 if down == 1 else 1.3] * down,
             across,
@@ -172,13 +174,17 @@ def draw_travel(profiles: Sequence[TravelProfile], machine: Machine) -> Figure:
             for one in profiles:
                 if (one.joint, one.session) == (joint, session):
                     x, y, band = from_si(one.position, unit), 100 * one.change, 100 * Z_95 * one.error
-                    axis.fill_between(x, y - band, y + band, color=colours[one.direction], alpha=0.2, lw=0)
-                    axis.plot(x, y, color=colours[one.direction])
+                    _, colour, line = styles[one.direction]
+                    axis.fill_between(x, y - band, y + band, color=colour, alpha=0.2, lw=0)
+                    axis.plot(x, y, color=colour, ls=line)
             if unit == "deg":
                 low, high = axis.get_xlim()
                 set_angle_ticks(axis, low, high, 10 if across == 1 else 5)
             axis.set_xlabel(f"q{joint} ({'°' if unit == 'deg' else unit})")
-            axis.set_title(session or joint_name(joint, machine), loc="left")
+            axis.set_title(shorten(session, 18) if session else joint_name(joint, machine), loc="left")
+        limit = ROOM * max(100 * float(np.abs(one.change).max()) for one in profiles)
+        low, high = axes[0, 0].get_ylim()
+        axes[0, 0].set_ylim(max(low, -limit), min(high, limit))
         for axis in axes.flat[len(kinds) :]:
             axis.set_visible(False)
         for axis in axes[:, 0]:

@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.diagnosis.finding import DataInfo, Finding
+from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import ResidualComparison, bin_residuals, bin_values
 from stickslip_fit.errors import shorten
 from stickslip_fit.plotting._style import (
@@ -168,8 +169,13 @@ def picture_sides(
         )
     else:
         caption += f"{after}; noise alone would keep the lines within the grey band."
-    key = "finding-" + "".join(letter if letter.isalnum() else "-" for letter in finding.cause)
-    return make_picture(key, title, caption, figure)
+    return make_picture(find_key("finding", finding), title, caption, figure)
+
+
+def find_key(kind: str, finding: Finding) -> str:
+    """Of a finding's picture of some kind, unlike those of others."""
+    name = finding.cause if finding.cause != UNKNOWN else f"{finding.cause} {finding.carrier}"
+    return f"{kind}-" + "".join(letter if letter.isalnum() else "-" for letter in name)
 
 
 def rms(values: Array) -> float:
