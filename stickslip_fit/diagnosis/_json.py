@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from stickslip_fit._format import position_unit
 from stickslip_fit._json import to_plain, write_json
 from stickslip_fit.causes import SizedParameter
 from stickslip_fit.diagnosis.finding import Finding, Gain, NextTraverse, TableInfo, shown_size
@@ -18,6 +19,7 @@ from stickslip_fit.diagnosis.stage_change import StageReading
 from stickslip_fit.units import PRISMATIC, Interval, from_si
 
 SCHEMA = "stickslip-fit/diagnosis/1"
+EVERY = 5
 METRIC = "held-out rms error of the step size, %"
 
 
@@ -52,7 +54,10 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         },
         "misfit": {"p_value": diagnosis.p_value, "rms_pct": percent.of(diagnosis.misfit)},
         "verdict": diagnosis.verdict,
-        "findings": [_finding_to_json(finding, percent, joints) for finding in diagnosis.findings],
+        "findings": [
+            _finding_to_json(finding, percent, joints) | _travel_to_json(finding, diagnosis)
+            for finding in diagnosis.findings
+        ],
         "inclusion": dict(diagnosis.inclusion),
         "untestable": [{"cause": cause, "reason": why} for cause, why in diagnosis.untestable.items()],
         "withdrawn": [{"cause": cause, "reason": why} for cause, why in diagnosis.withdrawn.items()],
@@ -140,6 +145,21 @@ def _finding_to_json(finding: Finding, percent: _Percent, joints: list[int]) -> 
     if finding.closest:
         content["closest"] = {"cause": finding.closest, "share": finding.share, "carrier": finding.carrier}
     return content
+
+
+def _travel_to_json(finding: Finding, diagnosis: Diagnosis) -> dict[str, Any]:
+    """The step size along the travel, at every `EVERY`-th place, where the finding follows the position."""
+    profiles = []
+    for one in finding.travel:
+        unit = position_unit(one.joint, diagnosis.require_log().machine)
+        columns = {
+            f"position_{unit}": from_si(one.position, unit),
+            "change_pct": 100.0 * one.change,
+            "standard_error_pct": 100.0 * one.error,
+        }
+        scope = {"joint": one.joint, "direction": one.direction or None, "session": one.session or None}
+        profiles.append(scope | {name: list(map(to_plain, own[::EVERY])) for name, own in columns.items()})
+    return {"travel": profiles} if profiles else {}
 
 
 def _parameter_to_json(parameter: SizedParameter) -> dict[str, Any]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import stickslip_fit as ssf
+from stickslip_fit.diagnosis._json import diagnosis_to_json
 from stickslip_fit.plotting.profile import travel_picture
 from stickslip_fit.reporting.diagnosis import diagnosis_page
 
@@ -58,6 +59,11 @@ def test_the_profile_and_its_extremes_are_those_of_the_motor(tmp_path):
     assert "Steps are smallest at 12" in said
     assert "and largest at" in said
     assert "smallest at 12" in travel_picture(finding, diagnosis.log.machine).caption
+    (written,) = diagnosis_to_json(diagnosis)["findings"][0]["travel"]
+    assert (written["joint"], written["direction"], written["session"]) == (1, None, None)
+    places, changes = np.array(written["position_deg"]), np.array(written["change_pct"])
+    assert places[np.argmin(changes)] == pytest.approx(120, abs=9)
+    assert changes.min() == pytest.approx(-5.8, abs=0.4)
 
 
 def test_each_direction_has_its_own(tmp_path):
