@@ -40,8 +40,8 @@ RMS = "rms"
 class AlongTravel(LogLinearFactor):
     """gamma times exp of a sum of cosines over the travel of each joint, constant beyond.
 
-    Where it is small that is 1 + f(q), f smooth with mean 0; a motor's steps may be several times larger in
-    one place than in another, and are nowhere less than nothing.
+    Where it is small, that is 1 + f(q), f smooth with mean 0. A motor's steps may be several times larger in
+    one place than in another, where a sum could be negative.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ from stickslip_fit.diagnosis.stage_change import StageReading
 from stickslip_fit.units import PRISMATIC, Interval, from_si
 
 SCHEMA = "stickslip-fit/diagnosis/1"
-EVERY = 5
+EVERY = 5  # of the places of a profile, one is written
 METRIC = "held-out rms error of the step size, %"
 
 
@@ -148,7 +148,7 @@ def _finding_to_json(finding: Finding, percent: _Percent, joints: list[int]) -> 
 
 
 def _travel_to_json(finding: Finding, diagnosis: Diagnosis) -> dict[str, Any]:
-    """The step size along the travel, at every `EVERY`-th place, where the finding follows the position."""
+    """The step size along the travel, where the finding follows the position."""
     profiles = []
     for one in finding.travel:
         unit = position_unit(one.joint, diagnosis.require_log().machine)

@@ -41,7 +41,7 @@ class Refits:
     starts : dict of str to array
         Values of their parameters then.
     extensions : dict of str to (DiagnosisProblem, ExtendedFit, LinearizedFit)
-        As of `try_extension`, where the noise was re-estimated as well.
+        As of `extend_problem`, where the noise was re-estimated as well.
     failed : tuple of str
         Causes whose fit failed; the test no longer has them.
     """
