@@ -53,6 +53,7 @@ from stickslip_fit.diagnosis.extension import (
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.hypotheses import (
     FiniteEffects,
+    compute_changes,
     compute_finite_effects,
 )
 from stickslip_fit.diagnosis.influence import assess_support
@@ -79,6 +80,7 @@ MAX_OWN_PARAMETERS, ROWS_PER_PARAMETER = 24, 6
 MAX_EXCEEDANCES = 50
 MAX_NOISE_LEFT = 0.8  # of the noise, without structure, for which tests are made anew
 SWOLLEN_NOISE_LEFT = 0.1  # of the noise, without gross errors that were taken for it
+MAX_LEFT_OF_BOTH = 0.5  # of a cause and of a function without a name that cancel each other
 MIN_EVIDENCE_SHARE = 0.5  # of a cause's evidence, without which another cannot take its place
 NO_ROWS: IntArray = np.zeros(0, dtype=np.intp)
 
@@ -170,14 +172,17 @@ def select_causes(
     `n_bootstrap` is the number of samples of noise alone for each test. Rows that are `trusted` are no
     outliers.
     """
+    offered = problem.causes
     while True:
         selection = _select(problem, alpha, n_bootstrap, rng, trusted)
         # Beside an effect far above the noise, of which the test knows the linear part alone, rows look
         # outlying that the law with its cause explains.
         explained = explain_outliers(selection, problem, selection.outliers)
-        if not len(explained):
-            return selection
         trusted = np.union1d(trusted, explained)
+        cancelled = find_cancelled(selection)
+        if not len(explained) and not cancelled:
+            return replace(selection, problem=replace(selection.problem, causes=offered))
+        problem = replace(problem, causes=tuple(one for one in problem.causes if one.name not in cancelled))
 
 
 def _select(
@@ -411,6 +416,33 @@ def find_broad_cause(linearized: LinearizedFit, misfit: Misfit, narrow: str) -> 
     others = misfit.rank_causes(least, [narrow])
     broad = (cause for cause in others if not assess_support(linearized, misfit, cause).too_narrow)
     return next(broad, UNKNOWN)
+
+
+def find_cancelled(selection: Selection) -> set[str]:
+    """Causes most of which a function without a name beside them takes back.
+
+    Such a function bends as the data ask and is expected to be as large as what it was found in, which was
+    larger with the cause in the law: the two say no more than the function alone.
+    """
+    named = [one for one in selection.law_causes if one.cause != UNKNOWN]
+    unnamed = [one for one in selection.law_causes if one.cause == UNKNOWN]
+    if not named or not unnamed:
+        return set()
+    linearized = selection.problem.linearize()
+
+    def effect(one: SelectedCause) -> Array:
+        values = selection.fit.values[selection.place_of(one.version)]
+        change = compute_changes(linearized, one.version, values[None])
+        return linearized.project(linearized.whiten(change))[:, 0]
+
+    size = np.linalg.norm
+    effects, functions = {one.cause: effect(one) for one in named}, [effect(one) for one in unnamed]
+    return {
+        cause
+        for cause, own in effects.items()
+        for function in functions
+        if size(own + function) < MAX_LEFT_OF_BOTH * min(size(own), size(function))
+    }
 
 
 def explain_outliers(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> IntArray:

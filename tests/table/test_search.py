@@ -178,3 +178,19 @@ def test_the_order_of_a_file_does_not_matter():
     assert search(rows).findings[0].effect.estimate == pytest.approx(
         search(shuffled).findings[0].effect.estimate, rel=0.01
     )
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_cause_and_a_function_without_a_name_do_not_cancel_each_other(seed):
+    """A piezo's hysteresis, swept up and down once by hand: any course in time would do for it."""
+    rng = np.random.default_rng(seed)
+    share = np.concatenate([np.arange(38.0), np.arange(37.0, -1.0, -1.0)]) / 37.0
+    up, times = np.repeat([True, False], 38), [rng.uniform(4.0, 10.0, 38).cumsum() for _ in range(2)]
+    bow = np.where(up, 0.25, -0.2) * share * (1.0 - share)
+    volts = 100.0 * (share + bow) + 0.15 * rng.standard_normal(76)
+    seconds = np.concatenate([36.0 + times[0], 900.0 + times[1]]).round(1)
+    rows = pd.DataFrame({"t": seconds, "V": volts, "d": 23.3 * share})
+    rows["way"] = np.where(up, "up", "down")
+    found = ssf.diagnose_table(rows, "d ~ a + b*V", time="t", gain=False)
+    assert found.findings
+    assert max(one.effect.estimate for one in found.findings) < 2.0 * found.misfit
