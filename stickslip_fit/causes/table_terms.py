@@ -48,6 +48,9 @@ class SmoothTableTerm(GenericCause):
         Name of the response.
     sessions : tuple of str
         With a function of each; without, one function for all.
+    share_of : float
+        A size of the response, not 0: each function is a share of what the law predicts, and its coefficient
+        what it adds where that is this size.
     """
 
     carriers: tuple[str, ...]
@@ -56,6 +59,7 @@ class SmoothTableTerm(GenericCause):
     sds: tuple[float, ...]
     response: str = ""
     sessions: tuple[str, ...] = ()
+    share_of: float = 0.0
 
     base_name = "smooth-term"
     base_phrase = "the response follows something smoothly that no cause describes"
@@ -98,11 +102,18 @@ class SmoothTableTerm(GenericCause):
 
     def stage_in(self, response: str) -> Stage:
         """See `TableCause`: what follows the prediction is added to all else."""
-        return "measurement" if PREDICTION in self.carriers else "term"
+        return "measurement" if self.needs_prediction else "term"
+
+    @property
+    def needs_prediction(self) -> bool:
+        """Whether it depends on what the law predicts."""
+        return PREDICTION in self.carriers or self.share_of != 0.0
 
     def functions(self, rows: Rows, prediction: Array | None = None) -> Array:
         """Each function in each row, session by session, shape (n, q)."""
         waves = self._waves(rows, prediction)
+        if self.share_of:
+            waves = waves * (np.asarray(prediction, float) / self.share_of)[:, None]
         if not self.sessions:
             return waves
         inside = np.asarray(rows["session"], object).astype(str)[:, None] == np.array(self.sessions)
@@ -124,20 +135,22 @@ class SmoothTableTerm(GenericCause):
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
         """See `TableCause`."""
         sign = self.sign(rows)
-        if PREDICTION not in self.carriers:
+        if not self.needs_prediction:
             term = linear_term(sign[:, None] * self.functions(rows))
             return lambda state, values: (*term(values), {})
 
         def effect(state: Mapping[str, Array], values: Array) -> tuple[Array, Array, Mapping[str, Array]]:
             predicted = np.broadcast_to(state[self.response], len(values))
             columns = sign[:, None] * self.functions(rows, predicted)
-            slopes = sign * np.sum(values * self._slopes(predicted), axis=1)
+            slopes = sign * np.sum(values * self._slopes(rows, predicted), axis=1)
             return np.sum(values * columns, axis=1), columns, {self.response: slopes}
 
         return effect
 
-    def _slopes(self, prediction: Array) -> Array:
+    def _slopes(self, rows: Rows, prediction: Array) -> Array:
         """Derivatives of the functions by the prediction, shape (n, q)."""
+        if self.share_of:
+            return self.functions(rows, np.full(len(prediction), self.share_of)) / self.share_of
         ((low, high),) = self.limits
         rate = np.pi * np.array([k for (k,) in self.orders]) / (high - low)
         inside = ((prediction > low) & (prediction < high))[:, None]
@@ -145,7 +158,7 @@ class SmoothTableTerm(GenericCause):
 
     def changes(self, law: Any, rows: Rows, values: Array, trials: Array) -> Array:
         """See `Cause`: all trials at once."""
-        prediction = law.predict(rows, values) if PREDICTION in self.carriers else None
+        prediction = law.predict(rows, values) if self.needs_prediction else None
         return np.asarray(self.sign(rows)[:, None] * (self.functions(rows, prediction) @ trials.T))
 
 

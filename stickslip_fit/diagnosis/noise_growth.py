@@ -19,7 +19,9 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit, rms
 from stickslip_fit.diagnosis.misfit import StructureRemoved, remove_structure
 from stickslip_fit.diagnosis.noise import MIN_UNEVEN_LOG_ODDS
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
+from stickslip_fit.diagnosis.table_alternatives import TableAlternatives
 from stickslip_fit.diagnosis.table_noise import weigh_rows
+from stickslip_fit.diagnosis.testability import MIN_TABLE_DF
 from stickslip_fit.diagnosis.unevenness import Residuals, residuals_of
 
 POWERS = (0.5, 1.0)  # of the prediction: counts, and a share of the response
@@ -27,7 +29,7 @@ FLOORS = 2.0 ** np.arange(0.5, -10.5, -1.0)  # constant part, relative to the ot
 MAX_AS_ASSUMED = 2.0  # between the noise of the rows, all but a few, as `unevenness` has it
 ENDS = (0.02, 0.98)  # quantiles of the rows between which the noise is compared
 MIN_LOG_RATIO = 4.0  # nats over noise as assumed
-MIN_DF = 10  # for a function of two parameters
+
 MAX_ROUNDS, TOL = 3, 0.02  # of weights, fit and prediction; change of a row's noise that ends them
 
 
@@ -87,13 +89,15 @@ def with_growing_noise(problem: DiagnosisProblem) -> DiagnosisProblem:
     for _ in range(MAX_ROUNDS):
         searched = weighted.with_autocorrelation()
         linearized = searched.linearize()
-        if linearized.df < MIN_DF or linearized.fits_exactly:
+        if linearized.df < MIN_TABLE_DF or linearized.fits_exactly:
             return problem
         growth = _estimate_beside_structure(searched, linearized)
         if np.all(growth.ratio == 1.0):
             return problem
         change = np.abs(np.log(growth.ratio / weighted.relative_sd)).max()
         weighted = weigh_rows(problem, growth.ratio)
+        assert isinstance(weighted.alternatives, TableAlternatives)
+        weighted = replace(weighted, alternatives=replace(weighted.alternatives, growing=True))
         if change < TOL:
             break
     return weighted

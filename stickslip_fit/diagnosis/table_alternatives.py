@@ -2,6 +2,7 @@
 
 Smooth in every column that the law or a candidate uses, in every two of them at low order, in the predicted
 response, each also oppositely in the two directions; by group where rows repeat; smooth or periodic in time.
+Where the noise grows with the response, so may what the law lacks: functions are also shares of it.
 Where settings of columns were repeated, each may have a value of its own, whatever the law: replicates tell
 what is no noise (the lack-of-fit test; G. E. P. Box and N. R. Draper, Empirical Model-Building and Response
 Surfaces, 1987, section 3.12).
@@ -53,6 +54,7 @@ MIN_CYCLES = 2.5  # of a periodic disturbance in a session of a sampled signal
 N_SLOW, PERIODS_PER_CYCLE = 120, 4.0  # periods of rows at uneven times; for each cycle more in the record
 # Of the rows, those that repeat a setting; settings.
 MIN_REPEATED, MAX_SETTINGS = 1.0 / 3.0, 150
+AS_SHARE = ", as a share of what the law predicts"  # after the carriers of such a function
 MIN_RATIO = 2.0  # of the largest to the smallest value of a column, whose logarithm is tried
 
 
@@ -75,6 +77,8 @@ class TableAlternatives:
         Of each session's own course in time that is told from noise that persists; 0 without.
     labels : tuple of str
         The two values of a direction that is not of numbers.
+    growing : bool
+        Whether the noise grows with the response.
     """
 
     columns: tuple[str, ...]
@@ -85,6 +89,7 @@ class TableAlternatives:
     labels: tuple[str, ...] = ()
     settings: tuple[tuple[str, ...], ...] = ()
     course_degree: int = 0
+    growing: bool = False
 
     @classmethod
     def of(
@@ -110,12 +115,17 @@ class TableAlternatives:
             prediction[part.rows] = part.law.predict(linearized.rows.iloc[part.rows], part.values)
         hypotheses: list[Hypothesis | AR1 | None] = []
         for name, term in self._terms(linearized, prediction):
-            functions = term.functions(linearized.columns, prediction) * term.sds
             versions = {"": term}
+            if self.growing and PREDICTION not in term.carriers:
+                largest = float(np.abs(prediction).max())
+                versions[AS_SHARE] = replace(term, share_of=largest)
             if self.roles.direction:
-                opposite = replace(term, direction=self.roles.direction, labels=self.labels)
-                versions[" by direction"] = opposite
+                versions |= {
+                    f"{ending} by direction": replace(one, direction=self.roles.direction, labels=self.labels)
+                    for ending, one in versions.items()
+                }
             for ending, version in versions.items():
+                functions = version.functions(linearized.columns, prediction) * term.sds
                 signed = linearized.whiten(version.sign(linearized.columns)[:, None] * functions)
                 effects = linearized.project(signed)
                 hypotheses.append(make_hypothesis(f"unknown:{name}{ending}", version, None, effects))

@@ -21,7 +21,7 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 
 MIN_TESTABLE_STRENGTH = 3.0  # whitened norm of the effect at the largest plausible size
-MIN_DF = 10
+MIN_DF, MIN_TABLE_DF = 10, 6  # of a log; of a table, whose rows are one law's, and with fewer show nothing
 
 NO_TRIALS = (
     "none of its trials could be computed: the effect of each is no number, or its equations have no solution"
@@ -100,19 +100,19 @@ def _always_fails(cause: Any, linearized: LinearizedFit, sessions: Mapping[str, 
 
 def explain_too_small(linearized: LinearizedFit) -> str | None:
     """Why a log is too small for a test, and what would suffice; None where it is not."""
-    if linearized.df >= MIN_DF:
+    least = MIN_DF if is_log(linearized) else MIN_TABLE_DF
+    if linearized.df >= least:
         if linearized.fits_exactly:
             return "the law fits every row to within rounding: there is no scatter to compare anything with"
         return None
-    rows, parameters = len(linearized), linearized.basis.shape[1]
+    parameters = pluralize(linearized.basis.shape[1], "parameter")
+    lacking = least - linearized.df
+    needed = f"{parameters}, and at least {len(linearized) + lacking} are needed; add {lacking}"
     if not is_log(linearized):
-        return (
-            f"too few rows to test: {rows} for the law's {pluralize(parameters, 'parameter')}, and "
-            f"{MIN_DF} more than that are needed; add {MIN_DF - linearized.df} in the same sessions"
-        )
+        where = " in the same sessions" if linearized.rows["session"].nunique() > 1 else ""
+        return f"too few rows to test: {len(linearized)} for the law's {needed}{where}"
     return (
-        f"too few traverses to test: {rows} for the baseline's {pluralize(parameters, 'parameter')}, and "
-        f"{MIN_DF} more than that are needed; add {MIN_DF - linearized.df} in the same sessions and "
+        f"too few traverses to test: {len(linearized)} for the baseline's {needed} in the same sessions and "
         "directions, replicates or new configurations"
     )
 

@@ -257,3 +257,14 @@ def test_what_came_closest_to_an_alarm_is_told():
     for p_value, headline in headlines:
         assert ("Closest to an alarm" in headline) == (0.01 < p_value < 0.075)
     assert "y follows x beyond the law" in headlines[1][1]
+
+
+def test_a_table_with_too_few_rows_says_how_many_are_needed():
+    x = np.arange(7.0)
+    frame = pd.DataFrame({"x": x, "y": 1.0 + 2.0 * x + np.random.default_rng(0).standard_normal(7)})
+    found = ssf.diagnose_table(frame, "y ~ a + b*x")
+    text = " ".join(str(found).split())
+    assert "too few rows to test: 7 for the law's 2 parameters, and at least 8 are needed; add 1." in text
+    assert "session" not in text
+    extended = pd.concat([frame, pd.DataFrame({"x": [7.0], "y": [15.5]})])
+    assert np.isfinite(ssf.diagnose_table(extended, "y ~ a + b*x").repeatability)

@@ -73,6 +73,37 @@ def test_an_effect_in_noise_that_grows_is_named_with_its_size():
     assert finding.effect.estimate == pytest.approx(0.2 * np.std(temperature), rel=0.3)
 
 
+def test_what_a_law_lacks_may_grow_as_the_noise_does():
+    """A vapour pressure over five decades, 3 % off its law where the noise is 0.3 % of it."""
+    rng = np.random.default_rng(0)
+    kelvin = np.linspace(290.0, 630.0, 30)
+    lack = 1.0 + 0.03 * np.cos(2.0 * np.pi * (kelvin - 290.0) / 340.0)
+    pressure = 1e7 * np.exp(-7000.0 / kelvin) * lack * (1.0 + 0.003 * rng.standard_normal(30))
+    found = ssf.diagnose_table(pd.DataFrame({"T": kelvin, "p": pressure}), "p ~ A*exp(-B/T)")
+    assert found.verdict == "unknown cause"
+    assert "follows T, as a share of what the law predicts, by" in text_of(found)
+    assert found.gain.extended < 0.7 * found.gain.baseline
+    fit = found.extended_law()
+    frame = pd.DataFrame({"T": kelvin})
+    assert fit.predict(frame)["predicted"].to_numpy() == pytest.approx(pressure, rel=0.02)
+    # The derivatives by the law's own parameters are exact.
+    law, values = found.selection.fit.parts[0].law, found.selection.fit.parts[0].values
+    jacobian = law.jacobian(found.selection.problem.rows, values)
+    for k in range(values.shape[1]):
+        step = 1e-6 * np.maximum(np.abs(values), 1e-3) * (np.arange(values.shape[1]) == k)
+        ends = [law.predict(found.selection.problem.rows, values + way * step) for way in (1, -1)]
+        assert (ends[0] - ends[1]) / (2 * step[:, k]) == pytest.approx(jacobian[:, k], rel=1e-4, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", [42003, 42027, 42048])
+def test_few_rows_over_decades_raise_no_alarm_though_their_noise_grows(seed):
+    """1 % of a response that grows to 160 times its least: a share of a table of 7 rows."""
+    rng = np.random.default_rng(seed)
+    x = np.sort(np.exp(rng.uniform(-1.0, 3.4, 7)))
+    frame = pd.DataFrame({"x": x, "y": x**1.5 * (1.0 + 0.01 * rng.standard_normal(7))})
+    assert ssf.diagnose_table(frame, "y ~ k*x**1.5", gain=False).verdict == "nothing wrong"
+
+
 def test_sigma_weighs_rows_and_only_its_ratios_count():
     rng = np.random.default_rng(0)
     x, u = np.arange(60.0), rng.uniform(0.1, 3.0, 60)
