@@ -21,6 +21,7 @@ from stickslip_fit._format import (
     join_words,
     pluralize,
 )
+from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.roles import ORDER, ROW_NUMBER
 from stickslip_fit.causes.table_terms import PREDICTION
 from stickslip_fit.diagnosis._unknown_summary import (
@@ -226,10 +227,8 @@ class TableWords(Words):
         if not np.isfinite(diagnosis.repeatability):
             return []
         linearized = selection.linearized
-        size = linearized.residual / np.sqrt(np.maximum(1.0 - linearized.leverage, MIN_KEPT))
-        size /= max(float(np.median(np.abs(size))) / MEDIAN_OF_NORMAL, np.finfo(float).tiny)
-        far = np.argsort(-np.abs(size))[:MAX_SUSPECTS]
-        far = far[np.abs(size[far]) > SUSPECT_SD]
+        size, is_far = _measure_departures(linearized, diagnosis.alpha)
+        far = np.argsort(-np.where(is_far, size, 0.0))[: min(MAX_SUSPECTS, int(is_far.sum()))]
         if not len(far):
             return []
         left, foretold = linearized.residual * linearized.scale, ""
@@ -241,15 +240,31 @@ class TableWords(Words):
         named = join_words(
             [f"row {numbers[row]} ({self.table.format_signed(float(left[row]))})" for row in far]
         )
-        largest = float(np.abs(size[far]).max())
+        largest = float(size[far].max())
         check = (
-            f"Check {named}: up to {format_significant(largest, 2)} standard deviations off{foretold}, by "
-            "the scatter of the others."
+            f"Check {named}: {'up to ' * (len(far) > 1)}{format_significant(largest, 2)} standard deviations "
+            f"off{foretold}, by the scatter of the others."
         )
         if diagnosis.findings:
             return [f"{check} A mistake there would bear on all of this: correct it, and repeat."]
         rarity = _describe_rarity(largest, self.table, diagnosis.alpha)
         return [f"{check} {rarity}, so that nothing is set aside."]
+
+
+def _measure_departures(linearized: LinearizedFit, alpha: float) -> tuple[Array, BoolArray]:
+    """How many standard deviations each row is off by the scatter of the others, and which are far off.
+
+    By their median; in few rows, which one departure may turn about itself, also without that row, where a
+    normal distribution leaves one so far off in a share `alpha` of tables at most (externally studentized
+    residuals; R. D. Cook and S. Weisberg, Residuals and Influence in Regression, 1982, section 2.2.2).
+    """
+    kept = np.maximum(1.0 - linearized.leverage, MIN_KEPT)
+    off, tiny = np.abs(linearized.residual) / np.sqrt(kept), np.finfo(float).tiny
+    by_median = off / max(float(np.median(off)) / MEDIAN_OF_NORMAL, tiny)
+    df = max(linearized.df - 1, 1)
+    by_others = off / np.sqrt(np.maximum(np.sum(linearized.residual**2) - off**2, tiny) / df)
+    is_far = (by_median > SUSPECT_SD) | (2.0 * len(off) * stdtr(df, -by_others) < alpha)
+    return np.maximum(by_median, by_others), is_far
 
 
 def _list_sizes(finding: Finding) -> list[str]:

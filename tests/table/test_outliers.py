@@ -1,5 +1,7 @@
 """Outlying values of a table: whose p-value counts, what the others leave, and how rare such a value is."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -121,3 +123,15 @@ def test_an_error_many_times_as_large_hides_no_other_nor_a_jump(errors):
     )
     assert {one.cause for one in found.findings} == {"outliers", "sudden-change"}
     assert set(found.selection.outliers.tolist()) == set(off)
+
+
+def test_a_slip_of_the_pen_in_few_rows_is_told():
+    """The line turns about it, so that beside the median of what is left it is small."""
+    mass = np.array([0.0, 24.0, 56.0, 76.0, 91.0, 106.0, 116.0, 126.0, 146.0, 168.0])
+    noise = 0.05 * np.random.default_rng(2).standard_normal(10)
+    frame = pd.DataFrame({"mass": mass, "length": 25.8 + 0.036 * mass + noise})
+    frame.loc[4, "mass"] = 61.0
+    found = ssf.diagnose_table(frame, "length ~ a + b*mass", gain=False)
+    assert re.search(
+        r"Check row 5 \(\+\d\.\d+\): [1-9][\d.]* standard deviations off", " ".join(found.summary().headline)
+    )
