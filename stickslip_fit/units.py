@@ -170,8 +170,9 @@ SUFFIXES = {
 }
 
 
-# How people write units of time other than the second, in lower case.
+# How people write units of time, in lower case.
 TIME_SPELLINGS = {
+    "s": {"s", "sec", "secs", "second", "seconds"},
     "ms": {"ms", "millis", "milliseconds"},
     "min": {"min", "mins", "minute", "minutes"},
     "h": {"h", "hr", "hrs", "hour", "hours"},
@@ -180,16 +181,17 @@ TIME_SPELLINGS = {
 }
 
 
-def time_unit_of(name: str) -> str:
-    """The unit of time that a column's name ends in; seconds where it ends in none.
+def time_unit_of(name: str) -> str | None:
+    """The unit of time that a column's name ends in, if it ends in one.
 
     Examples
     --------
-    >>> [time_unit_of(name) for name in ("t", "time_min", "t (ms)", "Time [h]", "Year", "elapsed days")]
+    >>> [time_unit_of(name) for name in ("t_s", "time_min", "t (ms)", "Time [h]", "Year", "elapsed days")]
     ['s', 'min', 'ms', 'h', 'years', 'days']
+    >>> time_unit_of("t")
     """
     ending = re.split(r"[\s_\[(/]+", name.strip(" ])").lower())[-1]
-    return next((unit for unit, names in TIME_SPELLINGS.items() if ending in names), "s")
+    return next((unit for unit, names in TIME_SPELLINGS.items() if ending in names), None)
 
 
 def to_si[Number: (float, np.ndarray)](value: Number, symbol: str) -> Number:

@@ -94,9 +94,13 @@ def describe_choices(table: pd.DataFrame, roles: TableRoles, law: Any) -> tuple[
     is_number = bool(labels) and table[roles.direction].dtype.kind in "iuf"
     are_signs = float(labels[0]) < 0 < float(labels[-1]) if is_number else labels == ("-", "+")
     if labels and not are_signs:
-        notes.append(f"Of the direction {roles.direction}, {labels[-1]} is + and {labels[0]} is -.")
+        notes.append(f"In the column {roles.direction}, {labels[-1]} is + and {labels[0]} is -.")
     if roles.time in table and (note := read_times(table[roles.time]).note):
         notes.append(f"Of the time {roles.time}, {note}.")
+    if _is_number(table, roles.time) and not stated_time_unit(law, str(roles.time)):
+        notes.append(
+            f"The times in {roles.time} count as seconds, as neither the column's name nor the law gives a unit."
+        )
     letters = [name for name in getattr(law, "names", ()) if name in PARAMETER_LETTERS and name in table]
     if letters:
         columns = "is the column of that name" if len(letters) == 1 else "are the columns of these names"
@@ -126,11 +130,18 @@ def describe_weights(problem: DiagnosisProblem, table: TableInfo) -> tuple[str, 
 
 
 def declared_time_unit(law: Any, table: pd.DataFrame, time: str | None) -> str:
-    """The unit of a time column of numbers: as declared, as its name ends, or seconds."""
-    if time not in table or not pd.api.types.is_numeric_dtype(table[time]):
-        return "s"
+    """The unit of a time column of numbers: as stated, or seconds."""
+    return (_is_number(table, time) and stated_time_unit(law, str(time))) or "s"
+
+
+def stated_time_unit(law: Any, time: str) -> str | None:
+    """The unit of a time column that the law declares or its name ends in, if any."""
     declared = (getattr(law, "units", None) or {}).get(time)
-    return str(declared) if declared else time_unit_of(str(time))
+    return str(declared) if declared else time_unit_of(time)
+
+
+def _is_number(table: pd.DataFrame, name: str | None) -> bool:
+    return name in table and pd.api.types.is_numeric_dtype(table[name])
 
 
 def _hash_frame(frame: pd.DataFrame) -> str:

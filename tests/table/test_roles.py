@@ -138,9 +138,9 @@ def test_a_date_that_may_be_read_in_two_ways_is_refused(rows):
 @pytest.mark.parametrize(
     ("cells", "note"),
     [
-        ([0, 1], "Of the direction way, 1 is + and 0 is -."),
-        ([-1, 0], "Of the direction way, 0 is + and -1 is -."),
-        (["out", "back"], "Of the direction way, out is + and back is -."),
+        ([0, 1], "In the column way, 1 is + and 0 is -."),
+        ([-1, 0], "In the column way, 0 is + and -1 is -."),
+        (["out", "back"], "In the column way, out is + and back is -."),
     ],
 )
 def test_the_answer_says_which_way_is_which(rows, cells, note):
@@ -152,6 +152,21 @@ def test_the_answer_says_which_way_is_which(rows, cells, note):
     assert typeset_text(note) in " ".join(str(words).split())
     assert not signed.table.notes
     assert words.p_value == signed.p_value
+
+
+@pytest.mark.parametrize(
+    ("name", "law", "is_guess"),
+    [
+        ("when", LAW, True),
+        ("when (s)", LAW, False),
+        ("when_min", LAW, False),
+        ("when", ssf.Law(LAW, units={"when": "days"}), False),
+    ],
+)
+def test_the_answer_says_that_times_without_a_unit_count_as_seconds(rows, name, law, is_guess):
+    found = ssf.diagnose_table(rows.assign(**{name: 0.5 * np.arange(60)}), law, time=name, gain=False)
+    note = "The times in when count as seconds, as neither the column's name nor the law gives a unit."
+    assert found.table.notes == (note,) * is_guess
 
 
 def test_directions_are_signs_or_two_values():
