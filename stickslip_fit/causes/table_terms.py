@@ -71,8 +71,14 @@ class SmoothTableTerm(GenericCause):
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
         """See `Cause`."""
-        own = tuple(name for name in self.carriers if name != PREDICTION)
-        return (*own, "session") if self.sessions else own
+        own = [name for name in self.carriers if name != PREDICTION]
+        own += [self.direction] if self.direction else []
+        return (*own, "session") if self.sessions else tuple(own)
+
+    @property
+    def texts(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See `TableCause`."""
+        return (self.direction,) if self.labels else ()
 
     @property
     def constant_beyond(self) -> tuple[str, ...]:  # type: ignore[override]

@@ -263,8 +263,8 @@ def _measure_departures(linearized: LinearizedFit, alpha: float) -> tuple[Array,
     by_median = off / max(float(np.median(off)) / MEDIAN_OF_NORMAL, tiny)
     df = max(linearized.df - 1, 1)
     by_others = off / np.sqrt(np.maximum(np.sum(linearized.residual**2) - off**2, tiny) / df)
-    is_far = (by_median > SUSPECT_SD) | (2.0 * len(off) * stdtr(df, -by_others) < alpha)
-    return np.maximum(by_median, by_others), is_far
+    size, is_rare = np.maximum(by_median, by_others), 2.0 * len(off) * stdtr(df, -by_others) < alpha
+    return size, (by_median > SUSPECT_SD) | ((by_others > SUSPECT_SD) & is_rare)
 
 
 def _list_sizes(finding: Finding) -> list[str]:

@@ -1,8 +1,9 @@
 """Unstructured alternatives for a table: what its law may lack that has no name.
 
 Smooth in every column that the law or a candidate uses, in every two of them at low order, in the predicted
-response, each also oppositely in the two directions; by group where rows repeat; smooth or periodic in time.
-Where the noise grows with the response, so may what the law lacks: functions are also shares of it.
+response, each also oppositely in the two directions, and where a column of texts has either of two; by group
+where rows repeat; smooth or periodic in time. Where the noise grows with the response, so may what the law
+lacks: functions are also shares of it.
 Where settings of columns were repeated, each may have a value of its own, whatever the law: replicates tell
 what is no noise (the lack-of-fit test; G. E. P. Box and N. R. Draper, Empirical Model-Building and Response
 Surfaces, 1987, section 3.12).
@@ -55,6 +56,7 @@ N_SLOW, PERIODS_PER_CYCLE = 120, 4.0  # periods of rows at uneven times; for eac
 # Of the rows, those that repeat a setting; settings.
 MIN_REPEATED, MAX_SETTINGS = 1.0 / 3.0, 150
 AS_SHARE = ", as a share of what the law predicts"  # after the carriers of such a function
+MAX_HALVES = 2  # columns of two texts
 MIN_RATIO = 2.0  # of the largest to the smallest value of a column, whose logarithm is tried
 
 
@@ -77,6 +79,8 @@ class TableAlternatives:
         Of each session's own course in time that is told from noise that persists; 0 without.
     labels : tuple of str
         The two values of a direction that is not of numbers.
+    halves : tuple of (str, tuple of str)
+        Further columns of two texts each, and these.
     growing : bool
         Whether the noise grows with the response.
     """
@@ -90,6 +94,7 @@ class TableAlternatives:
     settings: tuple[tuple[str, ...], ...] = ()
     course_degree: int = 0
     growing: bool = False
+    halves: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
     @classmethod
     def of(
@@ -100,7 +105,9 @@ class TableAlternatives:
         columns = numeric_columns(rows, law, roles, covariates)
         settings = tuple(find_settings(rows, numeric_columns(rows, law, roles, ()), roles, covariates))
         response, unit = str(law.response_name), str(law.response_unit)
-        return cls(columns, roles, sampled, response, unit, labels, settings)
+        texts = [name for name in covariates if not pd.api.types.is_numeric_dtype(rows[name])]
+        halves = tuple((name, direction_labels(rows[name])) for name in texts if rows[name].nunique() == 2)
+        return cls(columns, roles, sampled, response, unit, labels, settings, halves=halves[:MAX_HALVES])
 
     def __call__(self, linearized: LinearizedFit) -> list[Hypothesis | AR1]:
         """Every alternative for which the rows have the columns."""
@@ -119,11 +126,11 @@ class TableAlternatives:
             if self.growing and PREDICTION not in term.carriers:
                 largest = float(np.abs(prediction).max())
                 versions[AS_SHARE] = replace(term, share_of=largest)
-            if self.roles.direction:
-                versions |= {
-                    f"{ending} by direction": replace(one, direction=self.roles.direction, labels=self.labels)
-                    for ending, one in versions.items()
-                }
+            versions |= {
+                f"{ending}{opposite}": replace(one, direction=column, labels=labels)
+                for ending, one in versions.items()
+                for opposite, column, labels in self._opposites()
+            }
             for ending, version in versions.items():
                 functions = version.functions(linearized.columns, prediction) * term.sds
                 signed = linearized.whiten(version.sign(linearized.columns)[:, None] * functions)
@@ -133,6 +140,13 @@ class TableAlternatives:
         if self.roles.time:
             hypotheses += self._in_time(linearized)
         return [one for one in hypotheses if one is not None]
+
+    def _opposites(self) -> Iterator[tuple[str, str, tuple[str, ...]]]:
+        """Columns in whose two values a function may be opposite, with its name's ending and the values."""
+        if self.roles.direction:
+            yield " by direction", self.roles.direction, self.labels
+        for column, labels in self.halves:
+            yield f", oppositely where {column} is {labels[1]} and {labels[0]}", column, labels
 
     def _terms(self, linearized: LinearizedFit, prediction: Array) -> Iterator[tuple[str, SmoothTableTerm]]:
         """Names and smooth functions of what does not depend on time."""

@@ -99,7 +99,8 @@ def describe_choices(table: pd.DataFrame, roles: TableRoles, law: Any) -> tuple[
         notes.append(f"Of the time {roles.time}, {note}.")
     if _is_number(table, roles.time) and not stated_time_unit(law, str(roles.time)):
         notes.append(
-            f"The times in {roles.time} count as seconds, as neither the column's name nor the law gives a unit."
+            f"The times in {roles.time} count as seconds, as neither the column's name nor the law gives a "
+            "unit."
         )
     letters = [name for name in getattr(law, "names", ()) if name in PARAMETER_LETTERS and name in table]
     if letters:

@@ -8,6 +8,7 @@ from scipy.stats import binom
 import stickslip_fit as ssf
 from stickslip_fit.causes import TableRoles
 from stickslip_fit.diagnosis.table import problem_from_table
+from stickslip_fit.errors import InputError
 from tests.table.signals import COEFFICIENTS, EFFECTS, LAW, ROLES, best_term, own_causes, signal, with_effect
 
 ALPHA = 0.01
@@ -194,3 +195,18 @@ def test_a_cause_and_a_function_without_a_name_do_not_cancel_each_other(seed):
     found = ssf.diagnose_table(rows, "d ~ a + b*V", time="t", gain=False)
     assert found.findings
     assert max(one.effect.estimate for one in found.findings) < 2.0 * found.misfit
+
+
+def test_a_hysteresis_shows_though_no_column_was_named_as_the_direction():
+    rng = np.random.default_rng(4)
+    share, up = np.tile(np.linspace(0.0, 1.0, 35), 2), np.repeat([True, False], 35)
+    bow = np.where(up, -1.0, 1.0) * share * (1.0 - share)
+    rows = pd.DataFrame({"V": 100.0 * share, "way": np.where(up, "up", "down")})
+    rows["d"] = 23.0 * share + 8.0 * bow + 0.3 * rng.standard_normal(70)
+    found = ssf.diagnose_table(rows, "d ~ a + b*V")
+    assert "follows V, oppositely where way is up and down" in " ".join(str(found).split())
+    assert found.gain.extended < 0.3 * found.gain.baseline
+    fit = found.extended_law()
+    assert np.std(fit.predict(rows)["predicted"] - rows["d"]) < 0.4
+    with pytest.raises(InputError, match="way"):
+        fit.predict(rows[["V"]])
