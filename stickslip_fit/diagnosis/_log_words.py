@@ -13,6 +13,8 @@ from stickslip_fit._format import (
     format_direction,
     format_p_value,
     format_percent,
+    format_position,
+    format_time,
     join_words,
     pluralize,
 )
@@ -38,6 +40,7 @@ from stickslip_fit.estimation._gaps import fill_gaps
 
 MANY_SESSIONS = 3  # above which they are counted instead of named
 STANDS_OUT = 2.0  # times the profile of any other session
+FAR_ABOVE = 3.0  # times the noise: an error that is told
 MAX_PROFILES = 4  # told one by one
 NOISY = 2.0  # times the noise of the quietest session
 COMMON = {
@@ -91,7 +94,7 @@ class LogWords(Words):
         first, *others = self.diagnosis.findings
         return [
             f"{self.describe_finding(first)}.{self._describe_travel(first)}",
-            self._describe_gain(first),
+            f"{self._describe_gain(first)}{self._describe_excess()}",
             *(f"{self.describe_side_effect(one)}{self._describe_travel(one)}" for one in others),
             *(describe_reading(one, intervals=False) for one in self.diagnosis.stage if one.suffices),
             *describe_noise(self.diagnosis),
@@ -103,10 +106,13 @@ class LogWords(Words):
     describe_proposal = staticmethod(describe_proposal)
 
     def outlier_cells(self, row: pd.Series) -> dict[str, str]:
-        """See `Words`."""
+        """See `Words`: without a time a traverse is known by its ends."""
+        joint, machine = int(row["joint"]), self.diagnosis.require_log().machine
+        ends = [format_position(float(row[end]), joint, machine) for end in ("start", "stop")]
+        when = {"time": format_time(row["time"])} if pd.notna(row["time"]) else {"ends": " to ".join(ends)}
         return {
             "session": str(row["session"]),
-            "time": row["time"].strftime("%Y-%m-%d %H:%M:%S"),
+            **when,
             "joint": f"{row['joint']} {format_direction(str(row['direction']))}",
             "steps": f"{row['steps']:,}",
         }
@@ -136,6 +142,16 @@ class LogWords(Words):
             told.append(f"{scope}steps are smallest at {least} and largest at {most}")
         text = begin + "; ".join(told)
         return f" {capitalize_first(text)}."
+
+    def _describe_excess(self) -> str:
+        """That held-out errors are far above the noise, as a sentence with a space before it; else empty."""
+        gain = self.diagnosis.gain
+        if gain is None or not gain.extended > FAR_ABOVE * gain.noise_floor:
+            return ""
+        return (
+            f" On held-out traverses the extended law still errs by {gain.extended / gain.noise_floor:.0f} "
+            "times that: its functions are learned from too few traverses, or something else is left."
+        )
 
     def _describe_gain(self, finding: Finding) -> str:
         diagnosis = self.diagnosis

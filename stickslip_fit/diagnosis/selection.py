@@ -71,6 +71,7 @@ from stickslip_fit.diagnosis.proposed_term import propose_term
 from stickslip_fit.diagnosis.refits import Refits, refit_likeliest
 from stickslip_fit.diagnosis.testability import MIN_DF
 from stickslip_fit.estimation.result import OUTLYING_SD
+from stickslip_fit.units import Z_95
 
 MAX_CAUSES = 4
 # Of functions of sessions, and rows for each of them: beside more, too little is left to tell causes by.
@@ -81,6 +82,7 @@ MAX_EXCEEDANCES = 50
 MAX_NOISE_LEFT = 0.8  # of the noise, without structure, for which tests are made anew
 SWOLLEN_NOISE_LEFT = 0.1  # of the noise, without gross errors that were taken for it
 MAX_LEFT_OF_BOTH = 0.5  # of a cause and of a function without a name that cancel each other
+MIN_FREE = 1e-3  # of a row, one less its leverage
 MIN_EVIDENCE_SHARE = 0.5  # of a cause's evidence, without which another cannot take its place
 NO_ROWS: IntArray = np.zeros(0, dtype=np.intp)
 
@@ -448,7 +450,9 @@ def find_cancelled(selection: Selection) -> set[str]:
 def explain_outliers(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> IntArray:
     """Which of the rows that took no part in a selection its law explains after all.
 
-    `outliers` are positions in `problem`; a law without causes explains none.
+    `outliers` are positions in `problem`; a law without causes explains none. A law with functions that bend
+    as the data ask leaves them less than it errs where they are not fitted: what is no farther off is no
+    gross error.
     """
     if not selection.law_causes or not len(outliers):
         return outliers[:0]
@@ -458,7 +462,24 @@ def explain_outliers(selection: Selection, problem: DiagnosisProblem, outliers: 
     noise = noise * np.broadcast_to(problem.relative_sd, len(problem))[outliers]
     free = 1.0 - np.minimum(problem.linearize().leverage[outliers], MAX_LEVERAGE)
     sd = np.sqrt((noise**2 + problem.rounding[outliers]) / free)  # of predictions by the other rows
+    sd *= max(_leave_one_out_scale(selection), 1.0)
     return outliers[(departure != 0) & (np.abs(departure) < OUTLYING_SD * sd)]
+
+
+def _leave_one_out_scale(selection: Selection) -> float:
+    """Standard deviation of the rows' departures from the law fitted without each, in units of the noise.
+
+    By what 5 % of them exceed: a function may fit most of a travel closely, and fail where it is rough. Of a
+    penalised fit they are its residuals over one less the leverage (G. Wahba, Spline Models for Observational
+    Data, 1990, Theorem 4.2.1).
+    """
+    fit = selection.fit
+    linearized = selection.problem.linearize_extended(replace(fit, at_bound=np.ones_like(fit.at_bound)))
+    slopes = linearized.project(linearized.whiten(compute_cause_jacobian(selection)))
+    information = slopes.T @ slopes + np.diag(1.0 / np.square(fit.prior_sd))
+    leverage = linearized.leverage + np.sum(slopes * (slopes @ np.linalg.pinv(information)), axis=1)
+    departures = linearized.residual / np.maximum(1.0 - leverage, MIN_FREE)
+    return float(np.quantile(np.abs(departures), 0.95)) / Z_95
 
 
 def select_outliers(problem: DiagnosisProblem, p_value: float) -> SelectedCause:
