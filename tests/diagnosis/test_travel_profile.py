@@ -127,7 +127,7 @@ def test_steps_that_are_several_times_larger_in_one_place_than_in_another(tmp_pa
 
 
 def rough_profiles(seed):
-    """Of each session and direction, in stretches of 3.6 degrees; the last session has steps of 50 degrees."""
+    """Of each session and direction, in stretches of 3.6 degrees; of the last session, of 50 degrees."""
     rng, edges, profiles = np.random.default_rng(seed), np.arange(0, 364, 3.6), {}
     kernel = np.exp(-0.08 * np.arange(-6, 7) ** 2)
     for session in SESSIONS:
