@@ -231,7 +231,7 @@ def test_each_direction_may_have_a_stage_of_its_own(stage_rows, tmp_path):
     [
         {"drive": 'waveform = "s-curve"\nramp_time_ms = 0.14'},
         {"drive": "ramp_time_ms = 0.14", "rest": 0.0},  # the next ramp catches the slider moving
-        {"contact": 'model = "dahl"\nstiffness_N_per_um = 20'},
+        pytest.param({"contact": 'model = "dahl"\nstiffness_N_per_um = 20'}, marks=pytest.mark.nightly),
     ],
 )
 def test_other_stages_step_as_the_stage_itself_says(stage_rows, changed):
