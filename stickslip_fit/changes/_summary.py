@@ -29,6 +29,7 @@ from stickslip_fit.units import from_si
 
 MAX_ROWS = 14  # of the table; further parameters that show no change are folded
 MAX_NAMED = 4  # sessions, and changes
+MAX_RELATIVE = 10.0  # change of a step size, above which a bound is no number that anyone reads
 
 
 @summarize.register
@@ -143,6 +144,13 @@ def _least_detectable(changes: Changes) -> str:
     if not np.isfinite(sizes).any():
         return "What change would have been detected is below."
     low, high = np.nanmin(sizes), np.nanmax(sizes)
+    if high > MAX_RELATIVE:
+        least = "" if low > MAX_RELATIVE else f"{format_percent(low)} to "
+        return (
+            "There are too few sessions to know the scatter from day to day: only a change of the step size "
+            f"by {least}more than {format_percent(MAX_RELATIVE)} would have been detected with "
+            f"{_rate(POWER)} probability. Measure more days."
+        )
     extent = format_percent(low) if high < 1.2 * low else f"{format_percent_range(low, high)} %"
     return (
         f"A change of the step size by {extent}, by joint and direction, would have been detected with "
@@ -184,7 +192,7 @@ def _row(change: Change) -> tuple[str, ...]:
         _difference(change),
         _interval(difference.low, difference.high, unit, decimals),
         MISSING if isnan(difference.p_adjusted) else format_p_value(difference.p_adjusted),
-        format_value(difference.detectable, unit, decimals),
+        _bound(difference.detectable, unit, decimals),
     )
 
 
@@ -192,7 +200,14 @@ def _interval(low: float, high: float, unit: str, decimals: int) -> str:
     """With its unit, which not all rows have in common."""
     if isnan(low) or isnan(high):
         return MISSING
-    return f"{format_number(low, unit, decimals)} to {format_value(high, unit, decimals)}"
+    return f"{format_number(low, unit, decimals)} to {_bound(high, unit, decimals)}"
+
+
+def _bound(value: float, unit: str, decimals: int) -> str:
+    """An upper bound with its unit; that of a step size is the exponential of one, which may be huge."""
+    if unit == "%" and value > MAX_RELATIVE:
+        return f"> {format_value(MAX_RELATIVE, unit, 0)}"
+    return format_value(value, unit, decimals)
 
 
 def _difference(change: Change) -> str:

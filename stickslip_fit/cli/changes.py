@@ -54,8 +54,8 @@ def changed(
 
     if (new is None) == (since is None):
         raise InputError("name what to compare with: a second log, or the date of the change with --since")
+    after = load_log([new or old], machine, since=since, sheet=sheet)  # first, to name --since in a fault
     before = load_log([old], machine, until=since, sheet=sheet)
-    after = load_log([new or old], machine, since=since, sheet=sheet)
     laws = load_laws(law, before.joints)
     check_savable(before, laws, json)
     changes = detect_changes(before, after, laws=laws, alpha=alpha, command=command_line())

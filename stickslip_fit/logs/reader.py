@@ -227,9 +227,9 @@ def select_sessions(identity: RowKeys, since: TimeLike | None, until: TimeLike |
     np.minimum.at(began, identity.session, identity.time)
     inside = np.ones(len(began), np.bool_)
     if since is not None:
-        inside &= began >= _to_nanoseconds("since", since, zoned)
+        inside &= began >= _to_nanoseconds("--since", since, zoned)
     if until is not None:
-        inside &= began < _to_nanoseconds("until", until, zoned)
+        inside &= began < _to_nanoseconds("--until", until, zoned)
     if not inside.any():
         first, last = np.datetime_as_string(np.array([began.min(), began.max()]).view("M8[ns]"), unit="m")
         bounds = (("since", since), ("until", until))

@@ -57,6 +57,13 @@ def test_where_nothing_changed_the_least_change_that_would_show_is_said(make_log
     assert "would have been detected with 80 % probability" in said
 
 
+def test_a_scatter_that_is_hardly_known_gives_no_astronomic_percentages(make_log):
+    said = " ".join(str(detect_changes(make_log(2, day_to_day=0.3), make_log(1, month=6, seed=1))).split())
+    assert "by more than 1000 % would have been detected with 80 % probability. Measure more days." in said
+    assert "to > 1000 %" in said
+    assert not re.search(r"\d{5,} %", said)
+
+
 def test_one_session_each_cannot_tell_a_change_from_a_day(make_log):
     changes = detect_changes(make_log(1), make_log(1, month=6, seed=1, change=0.05))
     assert not changes.significant
@@ -96,6 +103,12 @@ def test_either_a_second_log_or_a_date_is_needed(larger, tmp_path, arguments):
     larger[0].to_csv(tmp_path / "march.csv")
     with pytest.raises(InputError, match="a second log, or the date of the change with --since"):
         run(tmp_path / "march.csv", *arguments)
+
+
+def test_what_is_no_date_is_told_by_the_option_that_was_given(larger, tmp_path):
+    larger[0].to_csv(tmp_path / "march.csv")
+    with pytest.raises(InputError, match=r"^--since, value 'monday': is no date or time"):
+        run(tmp_path / "march.csv", "--since", "monday")
 
 
 def test_logs_that_share_traverses_are_refused(larger):
