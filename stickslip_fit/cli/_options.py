@@ -143,6 +143,13 @@ class LogSource:
         """The log."""
         return load_log(self.log, self.machine, self.since, self.until, self.sheet)
 
+    def command(self, name: str, *options: str, law: list[Path] | None = None) -> str:
+        """Another command on the same log and laws, read in the same way, to be copied."""
+        given = {"machine": self.machine, "since": self.since, "until": self.until, "sheet": self.sheet}
+        same = [text for option, value in given.items() if value for text in (f"--{option}", str(value))]
+        same += [text for one in law or () for text in ("--law", str(one))]
+        return shlex.join(["stickslip-fit", name, *map(str, self.log), *same, *options])
+
 
 @dataclass(frozen=True)
 class ArmSource:

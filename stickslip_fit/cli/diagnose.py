@@ -110,7 +110,7 @@ def diagnose(
     # Saved before anything is printed: the reader of the output may close it.
     saved = save_diagnosis_outputs(result, json, report)
     extended = save_extended_law(result.extended_law(command=command_line()), save_law) if save_law else ""
-    following = "" if save_law else suggest_next(result, source.log)
+    following = "" if save_law else suggest_next(result, partial(source.command, law=law))
     show(result.summary(), display, source.log, filter(None, [*saved, extended, following]))
 
 
@@ -134,18 +134,17 @@ def suggest_table_command(path: Path, sheet: str | None) -> list[InputIssue]:
     return [InputIssue(message, str(path))]
 
 
-def suggest_next(diagnosis: Diagnosis, log: list[Path]) -> str:
-    """The command that goes on from a diagnosis."""
+def suggest_next(diagnosis: Diagnosis, command: Callable[..., str]) -> str:
+    """The command that goes on from a diagnosis, as `LogSource.command` writes it."""
     from stickslip_fit.diagnosis.misfit import UNKNOWN
 
-    name = shlex.join(map(str, log))
     if any(finding.equivalent for finding in diagnosis.findings):
-        return f"To separate the causes: stickslip-fit plan {name}"
+        return f"To separate the causes: {command('plan')}"
     if any(one.version is not None or one.cause != UNKNOWN for one in diagnosis.findings):
-        return f"To save the extended law: stickslip-fit diagnose {name} --save-law law.json"
+        return f"To save the extended law: {command('diagnose', '--save-law', 'law.json')}"
     if diagnosis.verdict == "nothing wrong":
-        return f"To save the law as it is: stickslip-fit fit {name} --json fit.json"
-    return f"For traverses that would tell more: stickslip-fit plan {name}"
+        return f"To save the law as it is: {command('fit', '--json', 'fit.json')}"
+    return f"For traverses that would tell more: {command('plan')}"
 
 
 def diagnose_table(

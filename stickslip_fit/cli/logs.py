@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -30,8 +29,7 @@ from stickslip_fit.cli.fit import select_named_causes
 
 def check(*, source: LogSource, display: Display) -> None:
     """Check a log for faults and summarize it."""
-    command = shlex.join(["stickslip-fit", "diagnose", *map(str, source.log)])
-    following = f"What is wrong with it, if anything: {command}"
+    following = f"What is wrong with it, if anything: {source.command('diagnose')}"
     show(source.read().summary(), display, source.log, [following])
 
 

@@ -43,6 +43,18 @@ def run(command, machine, log, *more):
     return " ".join(result.output.split())
 
 
+def test_commands_that_are_proposed_read_the_log_in_the_same_way(make, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    machine, log = make("one slide")
+    machine_and_season = f"--machine {machine} --since 2026-03-03"
+    for command in ("check", "diagnose"):
+        told = run(command, machine, log, "--since", "2026-03-03")
+        proposed = told.rpartition("stickslip-fit ")[2]
+        assert machine_and_season in proposed
+        result = CliRunner().invoke(app, proposed.split())
+        assert result.exit_code == 0, result.output
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_fits_find_the_steps_of_every_joint(make, name):
     machine, log = make(name)
