@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import pandas as pd
 
 from stickslip_fit._format import (
@@ -26,6 +28,7 @@ from stickslip_fit.logs.log import MAX_ROWS, file_names, latest
 
 MAX_NAMED = 6
 ALL_SESSIONS = "all sessions"
+COEFFICIENTS = "coefficients of smooth functions, of no use one by one: in the saved result"
 FLAGS = {
     "at_bound": "at the edge of what is possible",
     "not_identified": "cannot be known from this log",
@@ -167,14 +170,21 @@ def own_parameters(fit: JointFit) -> list[Parameter]:
 
 
 def departures_tables(result: Result) -> list[Table]:
-    """The parameters of causes, where the laws have some: one number each for the whole campaign."""
+    """The parameters of causes, where the laws have some: one number each for the whole campaign.
+
+    Of the coefficients of a smooth function, of no use one by one, their number.
+    """
     table = result.si.parameters
     table = table[table["joint"] == ALL_JOINTS]
     meanings = {p.name: p.meaning for fit in result.joints.values() for p in fit.law.parameters}
-    rows = [
-        (row.name, format_uncertain(row.estimate, row.standard_error, row.unit), meanings[row.name])
-        for row in table.itertuples(index=False)
-    ]
+    rows, smooth = [], Counter[str]()
+    for row in table.itertuples(index=False):
+        if "coefficient" in meanings[row.name]:
+            smooth[row.name.partition(".")[0]] += 1
+        else:
+            estimate = format_uncertain(row.estimate, row.standard_error, row.unit)
+            rows.append((row.name, estimate, meanings[row.name]))
+    rows += [(f"{cause}.*", f"{count:,} numbers", COEFFICIENTS) for cause, count in smooth.items()]
     columns = (Column("parameter", text=True), Column("estimate"), Column("what it is", text=True))
     note = "One number each for all joints, directions and sessions. ± one standard error."
     name = name_of_laws(law_without_causes(fit.law) for fit in result.joints.values())

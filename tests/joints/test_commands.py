@@ -55,6 +55,14 @@ def test_commands_that_are_proposed_read_the_log_in_the_same_way(make, tmp_path,
         assert result.exit_code == 0, result.output
 
 
+def test_coefficients_of_smooth_functions_leave_the_screen_to_the_step_sizes(make):
+    machine, log = make("one slide", n=40)
+    said = run("fit", machine, log, "--cause", "along-travel")
+    assert re.search(r"along-travel\.\* \d+ numbers coefficients of smooth functions", said)
+    assert "along-travel.f1" not in said
+    assert "Parameters of joint 1" in said
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_fits_find_the_steps_of_every_joint(make, name):
     machine, log = make(name)
