@@ -20,6 +20,7 @@ from stickslip_fit._toml import Bounds, Count, Give, Quantity, Text, TomlTable, 
 from stickslip_fit.logs.plan import Noise, NoiseKind, Plan, PlannedSession, Timing, TraverseOrder
 from stickslip_fit.logs.reader import DIRECTIONS
 from stickslip_fit.machine import Machine
+from stickslip_fit.machine.machine import PREDICT_DRIVES
 from stickslip_fit.units import JOINTS, to_si
 
 ANGLE_UNITS = ("deg", "rad")
@@ -316,7 +317,7 @@ def read_plan(path: str | Path, machine: Machine) -> Plan:
     1  2012-03-05      3         - -1.57  -1.57
     2  2012-03-05      3         + -1.57   0.00
     """
-    machine.require_geometry("a plan of a campaign")
+    machine.require_geometry("a plan of a campaign", PREDICT_DRIVES)
     content = read_toml(path, PlanFile, "plan file", machine)
     noise, (shortest, longest), turn = None, content.timing.pause, content.timing.turn
     if content.noise:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 JointKind = Literal["rotary", "prismatic"]
 ARM_KINDS: tuple[JointKind, ...] = ("rotary", "rotary", "prismatic")
+PREDICT_DRIVES = "in Python, predict(rows) of a fit gives the steps of any joint's drives"
 _JOINT_TABLES = re.compile(rb"^\s*(?:\[\[\s*joint\s*\]\]|joint\s*=)", re.MULTILINE)
 
 
@@ -75,8 +76,14 @@ class Machine:
         """Whether it is an arm of the published kind, rotary, rotary, prismatic, of known lengths."""
         return self.kinds == ARM_KINDS and isfinite(self.a1) and isfinite(self.l2)
 
-    def require_geometry(self, what: str) -> None:
+    def require_geometry(self, what: str, instead: str = "") -> None:
         """Refuse `what`, which needs the arm's lengths, for a machine that does not have them.
+
+        Parameters
+        ----------
+        what : str
+        instead : str, optional
+            What does the same for any machine.
 
         Raises
         ------
@@ -90,7 +97,7 @@ class Machine:
             f"and the machine {self.name} is none"
         )
         advice = "; give [geometry], [range] and [[link]] in its file, as mm3a.toml does"
-        raise InputError(reason + advice * (self.kinds == ARM_KINDS))
+        raise InputError(reason + (advice if self.kinds == ARM_KINDS else instead and f"; {instead}"))
 
     def is_prismatic(self, joint: int) -> bool:
         """Whether a joint, of 1 to n, slides rather than turns."""

@@ -23,6 +23,7 @@ from stickslip_fit.estimation import Result
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs.schema import CONDITION_SPELLINGS, COVARIATE_PREFIX
 from stickslip_fit.machine import Machine, mean_load
+from stickslip_fit.machine.machine import PREDICT_DRIVES
 from stickslip_fit.units import JOINTS, PRISMATIC, to_si
 
 
@@ -197,7 +198,7 @@ def calibrated_arm(
     InputError
         If the result has no such session, or its machine no published geometry.
     """
-    result.machine.require_geometry("moves and positions of the tip")
+    result.machine.require_geometry("moves and positions of the tip", PREDICT_DRIVES)
     sessions = list(dict.fromkeys(name for fit in result.joints.values() for name in fit.groups["session"]))
     latest = {fit.groups["session"].iloc[-1] for fit in result.joints.values()}
     if session is None:

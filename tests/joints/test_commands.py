@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
@@ -138,6 +139,17 @@ def test_what_needs_an_arm_is_refused_in_one_sentence(make, what):
     read = ssf.read_log(log, machine=load_machine(machine))
     with pytest.raises(InputError, match="an arm of two rotary joints"):
         REFUSED[what](read, ssf.fit(read))
+
+
+def test_where_moves_are_refused_what_gives_the_steps_of_drives_is_named(make):
+    machine, log = make("one slide")
+    read = ssf.read_log(log, machine=load_machine(machine))
+    fit = ssf.fit(read)
+    with pytest.raises(InputError, match=r"; in Python, predict\(rows\) of a fit gives the steps"):
+        ssf.plan_move(fit, [0.0], [0.005])
+    drive = pd.DataFrame({"session": read.sessions[:1], "joint": 1, "direction": "+", "start": 0.0})
+    predicted = fit.predict(drive.assign(stop=5e-3))
+    assert predicted["steps"].item() == pytest.approx(5.0 / STEPS["prismatic"]["+"], rel=0.03)
 
 
 @pytest.mark.parametrize("name", ["one slide", "two turns"])
