@@ -90,8 +90,8 @@ class LogWords(Words):
         return [text, *describe_noise(diagnosis), *describe_gaps(diagnosis)]
 
     def tell_findings(self) -> list[str]:
-        """See `Words`."""
-        first, *others = self.diagnosis.findings
+        """See `Words`: outlying counts last, since the gain is that of the law, and takes them out before."""
+        first, *others = sorted(self.diagnosis.findings, key=lambda one: one.cause == MISFIRE)
         return [
             f"{self.describe_finding(first)}.{self._describe_travel(first)}",
             f"{self._describe_gain(first)}{self._describe_excess()}",

@@ -291,6 +291,17 @@ def test_outliers_are_handed_back(table, read_table):
     )
 
 
+def test_repeating_outliers_is_not_credited_with_what_the_law_gains(table, read_table):
+    relative = 0.003 * hours_in(table)
+    relative[[40, 150]] += [0.2, -0.2]
+    found = diagnose(read_table(changed(table, relative), "wild drift.csv"), alpha=ALPHA, gain=False)
+    assert [one.cause for one in found.findings] == ["end-stop-misfire", "drift"]
+    first, second, third = write_headline(found)
+    assert first.startswith("Steps shrink by ")
+    assert second.startswith("Remedy: recalibrating within the session")
+    assert re.match(r"Besides that: .* \(end-stop-misfire\)\.$", third)
+
+
 def test_a_jump_is_told_with_its_moment(table, read_table):
     jump = 0.015 * ((hours_in(table) > 4.0) & (table["session"] == "2012-03-06").to_numpy())
     found = diagnose(read_table(changed(table, -jump), "jump.csv"), alpha=ALPHA, gain=False)
