@@ -136,9 +136,9 @@ class TravelProfile:
     joint: int
     direction: str
     session: str
-    position: Array
-    change: Array
-    error: Array
+    position: Array = field(repr=False)
+    change: Array = field(repr=False)
+    error: Array = field(repr=False)
 
     @property
     def rms(self) -> float:

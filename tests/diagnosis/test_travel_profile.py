@@ -54,6 +54,7 @@ def test_the_profile_and_its_extremes_are_those_of_the_motor(tmp_path):
     (finding,) = diagnosis.findings
     (profile,) = finding.travel
     assert (finding.cause, profile.joint, profile.direction, profile.session) == ("along-travel", 1, "", "")
+    assert repr(profile) == "TravelProfile(joint=1, direction='', session='')"
     off = departures(profile, truth)
     assert np.mean(np.abs(off) < 2) > 0.8
     assert np.degrees(profile.position[np.argmin(profile.change)]) == pytest.approx(120, abs=5)
