@@ -42,6 +42,7 @@ LIMIT_QUANTILE, LIMIT_ZOOM = 0.98, 1.35  # of a scale, see `robust_limit`
 MIN_LIMIT_SHARE = 0.2  # of the least limit of a scale of points, of one of means
 MAX_LIMIT_RATIO = 3.0  # times the residuals after: the scale may cut those before
 N_COLUMNS = 4  # panels side by side
+MARGIN = 0.3  # beside the two settings of a switch, of their distance
 JITTER = 0.12  # of points of one level, whose values would lie on each other
 LETTERS = 110  # in all labels below panels side by side
 ENVELOPE_COLOUR = "#dcdcd8"
@@ -241,5 +242,8 @@ def _label_values(axis: Axes, label: str, values: Array, kinds: ColouredRows, ac
     axis.set_xlabel(shorten(short, min(LETTERS // across, 60)))
     if "°)" in label:
         set_angle_ticks(axis, float(np.nanmin(known)), float(np.nanmax(known)), most)
+    elif len(pair := np.unique(known[np.isfinite(known)])) == 2:  # nothing lies between a switch's settings
+        axis.set_xticks(pair)
+        axis.set_xlim(*(pair + np.array([-MARGIN, MARGIN]) * np.ptp(pair)))
     else:
         axis.locator_params(axis="x", nbins=most)
