@@ -62,8 +62,9 @@ def _next_headline(
         text.append("Nothing is left to separate.")
     if any(finding.cause == UNKNOWN for finding in diagnosis.findings):
         text.append(
-            "What has no name predicts nothing, so that no traverse can be worked out for it; replicates of "
-            "the configurations that are furthest off, hours apart, show whether it stays or comes and goes."
+            "What has no name may be due to anything, so that no traverse can be worked out that would tell; "
+            "replicates of the configurations that are furthest off, hours apart, show whether it stays or "
+            "comes and goes."
         )
     return " ".join(text)
 

@@ -221,7 +221,9 @@ def select_sessions(identity: RowKeys, since: TimeLike | None, until: TimeLike |
     InputError for a bound that is no date or time or has a zone where the log has none, and for no session.
     """
     if not identity.has_times:
-        raise InputError(f"{NO_TIMES}: leave --since and --until out")
+        raise InputError(
+            f"{NO_TIMES}: leave --since and --until out, and name a file that has only the sessions you mean"
+        )
     zoned = bool(identity.has_zone.any())
     began = np.full(len(identity.labels), np.iinfo(np.int64).max)
     np.minimum.at(began, identity.session, identity.time)
