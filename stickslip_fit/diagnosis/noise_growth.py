@@ -29,7 +29,6 @@ FLOORS = 2.0 ** np.arange(0.5, -10.5, -1.0)  # constant part, relative to the ot
 MAX_AS_ASSUMED = 2.0  # between the noise of the rows, all but a few, as `unevenness` has it
 ENDS = (0.02, 0.98)  # quantiles of the rows between which the noise is compared
 MIN_LOG_RATIO = 4.0  # nats over noise as assumed
-
 MAX_ROUNDS, TOL = 3, 0.02  # of weights, fit and prediction; change of a row's noise that ends them
 
 

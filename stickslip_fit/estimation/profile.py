@@ -53,7 +53,7 @@ def follows_travel(cause: object) -> bool:
 
 
 def follows_position(cause: Cause) -> bool:
-    """Whether a cause multiplies the step size by one function of the joint's own position in all."""
+    """Whether a cause follows the joint's own position alone, alike in all sessions; see `follows_travel`."""
     return follows_travel(cause) and not cause.columns
 
 

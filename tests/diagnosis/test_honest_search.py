@@ -6,9 +6,11 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit.causes import CauseParameter, FactorCause
-from stickslip_fit.diagnosis import hypotheses, refits
+from stickslip_fit.diagnosis import extension, hypotheses, refits
 from stickslip_fit.diagnosis._json import diagnosis_to_json
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
+from tests.hidden.generate import hide
+from tests.hidden.reading import read_hidden
 
 N, SD = 240, 0.05
 
@@ -171,3 +173,18 @@ def test_a_cause_whose_fit_fails_is_dropped_with_a_note(monkeypatch):
     found = diagnose(stribeck(0.3), bump(bounds=BOUNDED))
     assert "stribeck" not in [finding.cause for finding in found.findings]
     assert "could not be fitted" in found.untestable["stribeck"]
+
+
+def test_laws_without_a_finite_fit_are_no_rivals(monkeypatch):
+    """Whatever is tried beside or in place of what was found."""
+    tried = []
+
+    def failing_for_trials(problem, selected):
+        tried.append([one.cause for one in selected])
+        failing()
+
+    monkeypatch.setattr(extension, "extend_problem", failing_for_trials)
+    log = read_hidden(hide("thesis", ("cable-torque", "drift"), 14, seed=3), (2,))
+    found = ssf.diagnose(log, gain=False)
+    assert tried
+    assert found.findings
