@@ -38,10 +38,11 @@ RMS = "rms"
 
 @dataclass(frozen=True)
 class AlongTravel(LogLinearFactor):
-    """gamma times exp of a sum of cosines over the travel of each joint, constant beyond.
+    """gamma times 1 + f(q), f smooth with mean 0 over the travel of each joint, constant beyond.
 
-    Where it is small, that is 1 + f(q), f smooth with mean 0. A motor's steps may be several times larger in
-    one place than in another, where a sum could be negative.
+    1 + f is the exponential of a sum of cosines, less a quarter of the sum of their coefficients' squares for
+    the mean; a sum itself where it is small. A motor's steps may be several times larger in one place than in
+    another, where a sum could be negative.
 
     Attributes
     ----------
@@ -161,6 +162,15 @@ class AlongTravel(LogLinearFactor):
         """See `LinearFactor.functions`."""
         low, high = next((low, high) for joint, low, high in self.travel if joint == state.joint)
         return cosines(state.position, low, high, len(self.sds))
+
+    def sum_of(self, functions: Array, coefficients: Array) -> Array:
+        """See `LinearFactor.sum_of`."""
+        squares = np.sum(coefficients**2, axis=1)[:, None]
+        return super().sum_of(functions, coefficients) - squares / 4.0
+
+    def slopes_of(self, functions: Array, coefficients: Array) -> Array:
+        """See `LinearFactor.slopes_of`."""
+        return functions - coefficients[:, None, :] / 2.0
 
     def acts(self, state: State) -> Array:
         """See `LinearFactor.acts`."""

@@ -132,7 +132,15 @@ class LinearFactor(FactorCause):
     def linear_sum(self, state: State, values: Array) -> Array:
         """The sum of each parameter times its function, shape (n, k) or (n, 1)."""
         functions, _ = self._functions_in(state)
-        return np.asarray(np.einsum("nkm,nm->nk", functions, self.mix(state, values)))
+        return self.sum_of(functions, self.mix(state, values))
+
+    def sum_of(self, functions: Array, coefficients: Array) -> Array:
+        """The sum of functions, (n, k, m), times their coefficients, (n, m); shape (n, k)."""
+        return np.asarray(np.einsum("nkm,nm->nk", functions, coefficients))
+
+    def slopes_of(self, functions: Array, coefficients: Array) -> Array:
+        """Derivatives of `sum_of` by the coefficients, shape (n, k, m)."""
+        return functions
 
     def factor_slopes(self, state: State, values: list[Array]) -> Array:
         """See `FactorCause.factor_slopes`."""
@@ -141,7 +149,9 @@ class LinearFactor(FactorCause):
     def local_slopes(self, state: State, values: Array) -> Array:
         """See `FactorCause.local_slopes`: by the coefficients of the functions of each traverse."""
         functions, _ = self._functions_in(state)
-        return functions * np.asarray(self.of_sum(self.linear_sum(state, values))[1])[..., None]
+        coefficients = self.mix(state, values)
+        by_sum = np.asarray(self.of_sum(self.sum_of(functions, coefficients))[1])
+        return self.slopes_of(functions, coefficients) * by_sum[..., None]
 
     def mix(self, state: State, values: Array) -> Array:
         """The coefficients of the functions of each traverse, (n, q) -> (n, m)."""

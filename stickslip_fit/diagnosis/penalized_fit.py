@@ -121,6 +121,14 @@ class PartialFactor(LinearFactor):
         for way, places in zip(ways, split_positions(of_row), strict=True):
             yield places, np.tensordot(way, directions, 1)
 
+    def sum_of(self, functions: Array, coefficients: Array) -> Array:
+        """See `LinearFactor.sum_of`."""
+        return self.whole.sum_of(functions, coefficients)
+
+    def slopes_of(self, functions: Array, coefficients: Array) -> Array:
+        """See `LinearFactor.slopes_of`."""
+        return self.whole.slopes_of(functions, coefficients)
+
     def of_sum(self, total: Array) -> tuple[Array, Array | float]:
         """See `LinearFactor.of_sum`."""
         return self.whole.of_sum(total)

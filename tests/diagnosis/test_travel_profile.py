@@ -7,7 +7,9 @@ import pandas as pd
 import pytest
 
 import stickslip_fit as ssf
+from stickslip_fit.causes import AlongTravel
 from stickslip_fit.diagnosis._json import diagnosis_to_json
+from stickslip_fit.laws import state_at
 from stickslip_fit.plotting.profile import travel_picture
 from stickslip_fit.reporting.diagnosis import diagnosis_page
 
@@ -163,3 +165,13 @@ def test_gross_errors_beside_a_profile_are_found_and_told_without_a_time(tmp_pat
     assert sorted(found["end-stop-misfire"].traverses["steps"]) == sorted(table["steps"][wrong])
     first, stop = table.loc[20, ["from_deg", "to_deg"]]
     assert f"{first:g}° to {stop:g}°" in str(diagnosis)
+
+
+def test_a_profile_has_a_mean_of_one_and_is_a_sum_where_it_is_small():
+    cause, places = AlongTravel(travel=((1, 0.0, 2.0),), sds=(1.0, 0.5)), np.linspace(0.0, 2.0, 4001)[None]
+    state = state_at(1, {"start": [0.0], "stop": [1.0]}, places)
+    for sizes, apart in (((0.02, -0.01), 5e-4), ((0.2, -0.1), 5e-2)):
+        factor = cause.factor_of(state, np.array([sizes]))[0]
+        assert factor.mean() == pytest.approx(1.0, abs=sizes[0] ** 3)
+        plain = 1 + sizes[0] * np.cos(np.pi * places[0] / 2) + sizes[1] * np.cos(np.pi * places[0])
+        np.testing.assert_allclose(factor, plain, atol=apart)
