@@ -24,6 +24,7 @@ from stickslip_fit._format import (
     join_words,
 )
 from stickslip_fit._summary import Column, Table, numbers
+from stickslip_fit.causes.profile import AlongTravel
 from stickslip_fit.causes.proposed import PAUSES
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, closest_cause
 from stickslip_fit.diagnosis.misfit import UNKNOWN
@@ -241,6 +242,9 @@ def _name_closest(finding: Finding) -> str:
         bends = max(finding.explains.values()) >= MIN_CLOSE
         most = f"{max(ceil(round(100 * own, 6)), 1)} % of it{' by its equation' * bends}"
         return f" (no known cause explains more than {most})"
+    sessions = getattr(finding.version, "sessions", ())
+    if sessions and closest == AlongTravel.name:
+        return f" (one profile for all sessions, {closest}, {describe_share(finding, closest)})"
     return f" (the closest known cause, {closest}, {describe_share(finding, closest)})"
 
 

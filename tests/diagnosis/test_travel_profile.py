@@ -93,7 +93,9 @@ def test_a_session_that_stands_out_is_named_and_drawn(tmp_path):
     quiet, loud, other = finding.travel
     assert max(quiet.rms, other.rms) < 0.3 * loud.rms
     assert np.mean(np.abs(departures(loud, lambda places: truth(places, 1, "d2"))) < 2) > 0.8
-    assert "Session d2 stands out" in diagnosis.summary().headline[0]
+    told = diagnosis.summary().headline
+    assert "Session d2 stands out" in told[0]
+    assert re.search(r"\(one profile for all sessions, along-travel, explains \d+ % of it\)", told[1])
     page = diagnosis_page(diagnosis)
     assert "The step size along the travel" in page
     assert "session d2" in page
