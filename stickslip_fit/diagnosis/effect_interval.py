@@ -29,7 +29,7 @@ from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit, RowSu
 from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, compute_cause_jacobian
+from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 from stickslip_fit.units import Z_95, Interval
 
 QUANTILES_95 = (0.025, 0.5, 0.975)
@@ -198,9 +198,7 @@ def _linearize_causes(
 
     Slopes are whitened, (n, q); the information, (q, q), is that of the rows and the parameters' priors.
     """
-    fit = selection.fit
-    linearized = problem.linearize_extended(replace(fit, at_bound=np.ones_like(fit.at_bound)))
-    slopes = linearized.project(linearized.whiten(compute_cause_jacobian(selection)))
+    linearized, slopes = problem.linearize_causes(selection.fit)
     correlation, sizes = _standardize(_information(selection, slopes))
     # Dependent parameters count as known.
     return linearized, slopes, np.linalg.pinv(correlation, rcond=rank_tol, hermitian=True) / sizes

@@ -83,9 +83,7 @@ def _size_cause(selection: Selection, selected: SelectedCause, covariance: Array
         or not is_distinguishable(misfit.best_hypothesis(selected.cause), misfit, rival, strength)
     )
     parameters = _size_parameters(selected.version, selected.cause, values, covariance[place, place])
-    rows = selection.problem.rows
-    laws = [part.law for part in selection.problem.parts if acts_on(selected.version, part.law)]
-    joints = joints_of_laws(laws)
+    rows, joints = selection.problem.rows, _joints_of(selected.version, selection)
     return Finding(
         selected.cause,
         selected.version,
@@ -97,6 +95,11 @@ def _size_cause(selection: Selection, selected: SelectedCause, covariance: Array
         together_with=selected.together_with,
         travel=find_travel_profiles(selected.version, values, covariance[place, place], joints, rows),
     )
+
+
+def _joints_of(version: Any, selection: Selection) -> tuple[int, ...]:
+    """The joints on which a cause acts."""
+    return joints_of_laws(part.law for part in selection.problem.parts if acts_on(version, part.law))
 
 
 def _with_lack(size: Interval, effect: LawEffect, selection: Selection) -> Interval:
@@ -204,7 +207,7 @@ def _with_law(finding: Finding, selection: Selection, selected: SelectedCause, c
     values = selection.fit.values[place]
     errors = covariance[place, place]
     parameters = _size_parameters(version, UNKNOWN, values, errors) if formula else ()
-    joints = joints_of_laws(part.law for part in selection.problem.parts if acts_on(version, part.law))
+    joints = _joints_of(version, selection)
     travel = find_travel_profiles(version, values, errors, joints, selection.problem.rows)
     return replace(
         finding, version=version, term=formula, carrier=carrier, parameters=parameters, travel=travel

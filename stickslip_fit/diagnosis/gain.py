@@ -42,10 +42,10 @@ from stickslip_fit.diagnosis.gain_interval import (
     simulate_gain_intervals,
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes
-from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
+from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit, cause_jacobian
 from stickslip_fit.diagnosis.misfit import UNKNOWN, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, compute_cause_jacobian, select_causes
+from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, select_causes
 from stickslip_fit.logs.log import number_configurations
 from stickslip_fit.machine import Machine
 
@@ -440,7 +440,7 @@ def _linearize_campaign(
         for one, place in zip(selected, places, strict=True)
     ]
     effects = linearized.whiten(np.concatenate(changes, axis=1))
-    slopes = linearized.whiten(compute_cause_jacobian(selection))
+    slopes = linearized.whiten(cause_jacobian(selection.problem.rows, fit.parts, len(fit.values)))
     critical = selection.first_misfit.critical_value(allocate_alpha(alpha))
     thresholds = [
         detection_length(critical, one.misfit.n_shapes(one.cause), linearized.df)

@@ -26,6 +26,7 @@ from stickslip_fit.diagnosis.linearized import (
     LawBlock,
     LinearizedFit,
     RowChanges,
+    cause_jacobian,
     linearize_fit,
     select_parts,
     whiten,
@@ -189,6 +190,12 @@ class DiagnosisProblem:
         """A fit of the extended laws, linearized."""
         known: Any = {"prior_sd": fit.prior_sd, "at_bound": fit.at_bound}
         return self._linearize(fit.parts, self.n_shared + len(fit.values), **known)
+
+    def linearize_causes(self, fit: ExtendedFit) -> tuple[LinearizedFit, Array]:
+        """A fit of the extended laws without calibration; the whitened slopes of its causes, shape (n, q)."""
+        linearized = self.linearize_extended(replace(fit, at_bound=np.ones_like(fit.at_bound)))
+        slopes = linearized.whiten(cause_jacobian(self.rows, fit.parts, len(fit.values)))
+        return linearized, linearized.project(slopes)
 
     def log_likelihood(self, fit: ExtendedFit) -> float:
         """Log likelihood of a fit of the extended laws, but for a constant."""

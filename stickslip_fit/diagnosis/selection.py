@@ -61,7 +61,6 @@ from stickslip_fit.diagnosis.linearized import (
     MAX_LEVERAGE,
     ExtendedFit,
     LinearizedFit,
-    cause_jacobian,
     rms,
 )
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, remove_structure
@@ -474,8 +473,7 @@ def _leave_one_out_scale(selection: Selection) -> float:
     Data, 1990, Theorem 4.2.1).
     """
     fit = selection.fit
-    linearized = selection.problem.linearize_extended(replace(fit, at_bound=np.ones_like(fit.at_bound)))
-    slopes = linearized.project(linearized.whiten(compute_cause_jacobian(selection)))
+    linearized, slopes = selection.problem.linearize_causes(fit)
     information = slopes.T @ slopes + np.diag(1.0 / np.square(fit.prior_sd))
     leverage = linearized.leverage + np.sum(slopes * (slopes @ np.linalg.pinv(information)), axis=1)
     departures = linearized.residual / np.maximum(1.0 - leverage, MIN_FREE)
@@ -580,11 +578,6 @@ def predict_departures(selection: Selection, problem: DiagnosisProblem, outliers
         if len(rows):
             departure[rows] = problem.responses[rows] - fitted.law.predict(problem.rows.iloc[rows], values)
     return departure[outliers]
-
-
-def compute_cause_jacobian(selection: Selection) -> Array:
-    """Change of every response with each parameter of the selected causes, shape (n, q)."""
-    return cause_jacobian(selection.problem.rows, selection.fit.parts, len(selection.fit.values))
 
 
 def empty_selection(problem: DiagnosisProblem) -> Selection:

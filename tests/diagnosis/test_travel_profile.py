@@ -7,8 +7,11 @@ import pandas as pd
 import pytest
 
 import stickslip_fit as ssf
-from stickslip_fit.causes import AlongTravel
+from stickslip_fit.causes import AlongTravel, Drift
+from stickslip_fit.causes.proposed import SmoothTerm
 from stickslip_fit.diagnosis._json import diagnosis_to_json
+from stickslip_fit.diagnosis.travel_profile import find_travel_profiles
+from stickslip_fit.estimation.profile import follows_position, follows_travel
 from stickslip_fit.laws import state_at
 from stickslip_fit.plotting.profile import travel_picture
 from stickslip_fit.reporting.diagnosis import diagnosis_page
@@ -110,9 +113,23 @@ def test_no_session_is_named_where_all_have_profiles_of_their_own(tmp_path):
     assert "stands out" not in diagnosis.summary().headline[0]
 
 
-def test_what_follows_the_time_has_no_profile(tmp_path):
-    diagnosis = ssf.diagnose(write_log(tmp_path, lambda places, *_: np.ones_like(places)), gain=False)
-    assert all(not one.travel for one in diagnosis.findings)
+@pytest.mark.parametrize(
+    ("term", "number"),
+    [
+        (SmoothTerm(("position",), ((0.0, 6.0),)), 1),
+        (SmoothTerm(("position",), ((0.0, 6.0),), sessions=SESSIONS), 3),
+        (SmoothTerm(("load",), ((-1.0, 1.0),)), 0),  # varies along a traverse, too, with the configuration
+        (SmoothTerm(("theta",), ((-1.0, 1.0),)), 0),
+        (SmoothTerm(("position", "theta"), ((0.0, 6.0), (-1.0, 1.0)), ((1, 1),)), 0),
+        (Drift(), 0),
+    ],
+)
+def test_only_what_follows_the_position_alone_has_a_profile(tmp_path, term, number):
+    log = write_log(tmp_path, lambda places, *_: np.ones_like(places))
+    values = np.full(len(term.parameters), 0.02)
+    assert len(find_travel_profiles(term, values, np.eye(len(values)), (1,), log.rows)) == number
+    assert follows_travel(term) == (number > 0)
+    assert follows_position(term) == (number == 1)
 
 
 @pytest.mark.parametrize("height", [0.8, pytest.param(1.6, marks=pytest.mark.nightly)])
