@@ -10,7 +10,7 @@ LOG ?=
 demo: $(VENV)/.ready
 	$(BIN)/stickslip-fit demo $(LOG)
 
-# Bytecode is written even where the shell forbids it: without it each process compiles all modules and tests anew.
+# Bytecode is written even where the shell forbids it: without it each command compiles all modules anew.
 test: $(VENV)/.ready-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -43,11 +43,13 @@ $(VENV)/bin/python:
 
 $(VENV)/.ready: pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	@$(BIN)/python -m compileall -q stickslip_fit
 	@touch $@
 
 # .ready-test stands for the extra `test` of pyproject.toml, and so on.
 $(VENV)/.ready-%: pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[$*]'
+	@$(BIN)/python -m compileall -q stickslip_fit
 	@touch $@ $(VENV)/.ready
 
 clean:
