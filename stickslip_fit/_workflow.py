@@ -71,7 +71,7 @@ def fit(
     laws : mapping of int to law, optional
         Laws of your own by joint, see `laws.choose_laws`; the published law for other joints.
     **options
-        Those of `estimation.fit_least_squares` (causes, shared, bounds, repeatability),
+        Those of `estimation.fit_least_squares` (causes, causes_from, shared, bounds, repeatability),
         `estimation.fit_closed_form` (causes_from) or `bayes.fit_bayes` (causes, priors, seed, ...).
 
     Returns

@@ -123,7 +123,7 @@ CausesFrom = Annotated[
     typer.Option(
         "--causes-from",
         metavar="RESULT",
-        help="Closed form: take the causes of this saved result as known, with its uncertainties.",
+        help="Take the causes of this saved result as known, with its uncertainties.",
     ),
     INPUT,
 ]

@@ -62,7 +62,7 @@ class EstimatorOptions:
     causes : tuple of str
         Names of causes to fit with the laws; not by the closed form.
     causes_from : Path or None
-        Of the closed form: a saved result whose causes are known.
+        Of the closed form or least squares: a saved result whose causes are known.
     laws : mapping of int to law
         Laws of one's own, by joint.
     own_causes : tuple of Cause
@@ -125,8 +125,16 @@ def check_fit_options(options: EstimatorOptions, outputs: FitOutputs) -> None:
             raise InputError(f"{option} belongs to --method {method.value}")
     if options.causes and options.method is Method.closed_form:
         raise InputError("the closed form fits no cause; take those of a saved result by --causes-from")
-    if options.causes_from is not None and options.method is not Method.closed_form:
-        raise InputError("--causes-from belongs to the closed form; fit causes by --cause")
+    if options.causes_from is not None:
+        if options.method is Method.bayes:
+            raise InputError("--causes-from belongs to the closed form and to least squares")
+        for option, value in (
+            ("--cause", options.causes),
+            ("--campaign-wide", options.campaign_wide),
+            ("--profile", options.profile),
+        ):
+            if value:
+                raise InputError(f"--causes-from and {option} are alternatives; choose one")
     check_chart(outputs.chart)
     if outputs.tree is not None and outputs.tree.suffix != ".nc":
         message = "is netCDF: end its name in .nc"
@@ -148,10 +156,10 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
 
     if options.method is Method.bayes:
         return _fit_bayes(log, options)
+    known = None
+    if options.causes_from is not None:
+        known = load_result(options.causes_from, options.own_causes, laws=options.laws)
     if options.method is Method.closed_form:
-        known = None
-        if options.causes_from is not None:
-            known = load_result(options.causes_from, options.own_causes, laws=options.laws)
         result = fit_closed_form(log, laws=options.laws, causes_from=known, command=command_line())
     else:
         likelihood = StudentT() if options.heavy_tails else Gaussian()
@@ -162,6 +170,7 @@ def estimate_laws(log: Log, options: EstimatorOptions) -> Estimate:
                 log,
                 laws=options.laws,
                 causes=select_named_causes(options.causes, log, options.own_causes),
+                causes_from=known,
                 likelihood=likelihood,
                 shared=options.campaign_wide,
                 bounds=dict(parse_bound(text, "--bound", laws) for text in options.bounds),

@@ -14,7 +14,6 @@ import pandas as pd
 from scipy.linalg import qr
 
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._groups import Groups, group_rows, mean_step_sizes, usable_rows
 from stickslip_fit.estimation._optimize import RANK_TOL
 from stickslip_fit.estimation._problem import DEFAULT_OPTIONS, single_problem
@@ -39,6 +38,7 @@ from stickslip_fit.estimation.reweighting import flag_outliers
 from stickslip_fit.estimation.with_causes import (
     FixedCauseLaw,
     FixedCauses,
+    difference_sensitivity,
     fixed_cause_effect,
     fixed_causes,
     law_without_causes,
@@ -85,9 +85,7 @@ def fit_closed_form(
     chosen = choose_laws(usable_rows(log), log.machine, laws)
     known = None
     if causes_from is not None:
-        if causes_from.machine.sha256 != log.machine.sha256:
-            raise InputError("the causes were fitted for another machine; read the log with that one")
-        known = fixed_causes(causes_from)
+        known = fixed_causes(causes_from, log.machine)
         chosen = {joint: FixedCauseLaw(law, known.causes, known.values) for joint, law in chosen.items()}
     return flag_outliers(solve_calibration(log, chosen, "closed-form", known=known, command=command), log)
 
@@ -194,7 +192,9 @@ def _calibrate_joint(
     covariance[df < 1] = np.nan
     interval = quadratic_interval(values, covariance, groups.table, repeatability)
     fit = JointFit(law, groups.table, values, np.isfinite(values), covariance, interval, repeatability)
-    return fit if known is None else release_causes(fit, known, solve)
+    if known is None:
+        return fit
+    return release_causes(fit, known, difference_sensitivity(fit, known, solve))
 
 
 def _estimate_noise(

@@ -42,7 +42,14 @@ from stickslip_fit.estimation.noise import (
 )
 from stickslip_fit.estimation.result import JointFit, Result, build_provenance
 from stickslip_fit.estimation.reweighting import ConvergedFit, flag_outliers, from_residuals, iterate_weights
-from stickslip_fit.estimation.with_causes import flag_causes, problems_with_causes, published_problem
+from stickslip_fit.estimation.with_causes import (
+    FixedCauseLaw,
+    fixed_causes,
+    flag_causes,
+    problems_with_causes,
+    published_problem,
+    release_causes,
+)
 from stickslip_fit.laws import Configuration, Laws, StepLaw, choose_laws
 from stickslip_fit.laws.base import Model
 from stickslip_fit.logs import Log
@@ -56,6 +63,7 @@ def fit_least_squares(
     *,
     laws: Laws | None = None,
     causes: Sequence[Cause] = (),
+    causes_from: Result | None = None,
     likelihood: Likelihood = GAUSSIAN,
     shared: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None,
@@ -74,6 +82,8 @@ def fit_least_squares(
     causes : sequence of Cause, optional
         Departures from the laws to fit with them: one set of parameters for the whole campaign,
         the same for all joints, directions and sessions.
+    causes_from : Result, optional
+        Of another log: its causes are taken as known, and their uncertainty goes into the error bars.
     likelihood : Likelihood, optional
         `StudentT` where an end stop may have been misheard now and then.
     shared : sequence of str, optional
@@ -97,8 +107,9 @@ def fit_least_squares(
     Raises
     ------
     InputError
-        If the log has no usable traverse or cannot show a cause, no law has a parameter that is named, or
-        `noise_ratio` is not a positive number for each usable traverse.
+        If the log has no usable traverse or cannot show a cause, no law has a parameter that is named,
+        `noise_ratio` is not a positive number for each usable traverse, or `causes_from` is of another
+        machine, knows no causes, or stands beside `causes` or `shared`.
 
     Notes
     -----
@@ -111,6 +122,12 @@ def fit_least_squares(
     by_joint = {joint: rows[rows["joint"] == joint] for joint in chosen}
     noise = None if noise_ratio is None else _label_noise(noise_ratio, rows)
     options = FitOptions(likelihood, tuple(shared), bounds or {}, repeatability or {}, noise)
+    known = None
+    if causes_from is not None:
+        if causes or shared:
+            raise InputError("known causes stand neither beside causes to fit nor beside shared parameters")
+        known = fixed_causes(causes_from, log.machine)
+        chosen = {joint: FixedCauseLaw(law, known.causes, known.values) for joint, law in chosen.items()}
     if causes:
         progress("fitting", 0.0)
         problems, combined = problems_with_causes(causes, chosen, by_joint, log.machine, options)
@@ -123,6 +140,12 @@ def fit_least_squares(
             progress("fitting", FITTING_SHARE * len(fits) / len(problems))
             fits.append(iterate_weights([problem], problem, options))
     joints = [joint for fit in fits for joint in _joint_results(fit, log.machine, options)]
+    if known is not None:
+        released = [
+            release_causes(own, known, _differentiate_minimum(fit, own))
+            for fit, (own, _, _) in zip(fits, joints, strict=True)
+        ]
+        joints = [(own, *rest) for own, (_, *rest) in zip(released, joints, strict=True)]
     flags = [flag for _, _, flags in joints for flag in flags]
     if causes:
         at_bound = [fits[0].minimum_of(number).at_bound for number in range(len(problems))]
@@ -141,6 +164,18 @@ def fit_least_squares(
     )
     progress("looking for outlying counts", FITTING_SHARE)
     return flag_outliers(result, log)
+
+
+def _differentiate_minimum(fit: ConvergedFit, joint: JointFit) -> Array:
+    """Change of a joint's parameters with each size of its fixed causes, shape (g, p, q).
+
+    At a minimum of W (y - f)^2 it is -(J' W J)^-1 J' W K, of slopes J by parameters and K by sizes.
+    """
+    law, (problem,), own = joint.law, fit.joints, joint.values.shape[1]
+    assert isinstance(law, FixedCauseLaw)
+    slopes = law.extended.model(problem.rows)(law.whole(joint.values[problem.groups.of_row]))[1]
+    fall = [problem.gradient(slopes[:, :own], fit.information * slope) for slope in slopes[:, own:].T]
+    return -joint.covariance @ np.stack(fall, axis=-1)
 
 
 def _label_noise(noise_ratio: Array, rows: pd.DataFrame) -> pd.Series:

@@ -290,14 +290,16 @@ class FixedCauses:
     interval: Array
 
 
-def fixed_causes(result: Result) -> FixedCauses:
-    """The causes of a result.
+def fixed_causes(result: Result, machine: Machine | None = None) -> FixedCauses:
+    """The causes of a result, for the log of a machine if one is given.
 
     Raises
     ------
     InputError
-        If its laws have none, or their sizes are not all known.
+        If its laws have none, their sizes are not all known, or it is of another machine.
     """
+    if machine is not None and result.machine.sha256 != machine.sha256:
+        raise InputError("the causes were fitted for another machine; read the log with that one")
     fits = list(result.joints.values())
     law = fits[0].law
     if not isinstance(law, ExtendedLaw):
@@ -437,21 +439,33 @@ def fixed_cause_effect(law: StepLaw, rows: pd.DataFrame, values: Array, mean_ste
     return law.effect(rows, np.where(np.isnan(values), law.start_values(mean_step), values))
 
 
-def release_causes(fit: JointFit, known: FixedCauses, solve: Callable[[FixedCauseLaw], Array]) -> JointFit:
-    """A calibration with fixed causes as one of the extended law, with the causes' covariance propagated.
+def difference_sensitivity(
+    fit: JointFit, known: FixedCauses, solve: Callable[[FixedCauseLaw], Array]
+) -> Array:
+    """Change of calibrated parameters with each size of a fixed cause, by differences; shape (g, p, q).
 
     `solve` goes from a `FixedCauseLaw` to its calibrated parameters, shape (g, p).
     """
-    law = fit.law
+    law, q = fit.law, len(known.values)
     assert isinstance(law, FixedCauseLaw)
-    groups, own, q = len(fit.values), len(law.parameters), len(known.values)
-    sensitivity = np.zeros((groups, own, q))
+    sensitivity = np.zeros((*fit.values.shape, q))
     for k in np.flatnonzero(np.diagonal(known.covariance) != 0):
         step = DIFFERENCE_STEP * law.extended.sizes[k] * (np.arange(q) == k)
         upper, lower = (
             solve(FixedCauseLaw(law.law, known.causes, known.values + sign * step)) for sign in (1, -1)
         )
         sensitivity[:, :, k] = (upper - lower) / (2 * step[k])
+    return sensitivity
+
+
+def release_causes(fit: JointFit, known: FixedCauses, sensitivity: Array) -> JointFit:
+    """A calibration with fixed causes as one of the extended law, with the causes' covariance propagated.
+
+    `sensitivity`, shape (g, p, q), is the change of the law's own parameters with each size of a cause.
+    """
+    law = fit.law
+    assert isinstance(law, FixedCauseLaw)
+    groups, own, q = len(fit.values), len(law.parameters), len(known.values)
     both = np.concatenate([sensitivity, np.broadcast_to(np.eye(q), (groups, q, q))], axis=1)
     covariance = both @ known.covariance @ both.swapaxes(1, 2)
     covariance[:, :own, :own] += fit.covariance
