@@ -4,6 +4,10 @@ For each positioner, joint and cut of the Cobra motor maps (`tests/cobra/maps.py
 spline's model of log steps per unit of length is a level for each session and direction, and a cubic
 smoothing spline of the traverse's middle for each direction. It is fitted to the training rows of a fold,
 with the penalty that predicts them best in an inner cross-validation, and predicts the fold's held-out rows.
+
+`--new-day K` keeps the latest version of each map as a new session: K traverses of it calibrate the law that
+the earlier ones extended, the others are predicted; beside it the law alone, and the spline of the earlier
+sessions with levels from the same K traverses.
 """
 
 import argparse
@@ -15,6 +19,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 
+from stickslip_fit import fit
 from stickslip_fit.diagnosis import Diagnosis, diagnose
 from stickslip_fit.diagnosis.gain import hold_out_configurations
 from stickslip_fit.logs import Log, read_log
@@ -23,6 +28,7 @@ from tests.cobra.maps import JOINTS, MACHINE, SHARED, positioners, write_cut
 
 PENALTIES = np.logspace(-7, 3, 31)
 INNER_FOLDS = 5
+LATEST = "final"  # version of a map
 ALLOWED = 1.05  # our error over the spline's
 USEFUL = 0.8  # error of a spline, of that of a constant step, below which something is wrong
 
@@ -93,6 +99,17 @@ def kernel(x: np.ndarray, z: np.ndarray) -> np.ndarray:
     return first**2 * (3.0 * last - first) / 6.0
 
 
+def choose_penalty(x: np.ndarray, level: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> float:
+    """The penalty that predicts best in an inner cross-validation."""
+    fold, squares = rng.permutation(np.arange(len(x)) % INNER_FOLDS), np.zeros(len(PENALTIES))
+    for number in range(INNER_FOLDS):
+        kept, left = fold != number, fold == number
+        spline = SmoothingSpline(x[kept], level[kept], y[kept])
+        for k, penalty in enumerate(PENALTIES):
+            squares[k] += np.sum((y[left] - spline.predict(penalty, x[left], level[left])) ** 2)
+    return float(PENALTIES[np.argmin(squares)])
+
+
 def predict_spline(
     rows: pd.DataFrame, y: np.ndarray, train: np.ndarray, held: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
@@ -102,26 +119,23 @@ def predict_spline(
     level = pd.factorize(rows["session"].astype(object))[0]
     direction, predicted = rows["direction"].to_numpy(object), np.zeros(len(held))
     for one in np.unique(direction):
-        own = train[direction[train] == one]
-        inner = rng.permutation(np.arange(len(own)) % INNER_FOLDS)
-        squares = np.zeros(len(PENALTIES))
-        for fold in range(INNER_FOLDS):
-            kept, left = own[inner != fold], own[inner == fold]
-            spline = SmoothingSpline(x[kept], level[kept], y[kept])
-            for k, penalty in enumerate(PENALTIES):
-                squares[k] += np.sum((y[left] - spline.predict(penalty, x[left], level[left])) ** 2)
-        wanted = direction[held] == one
+        own, wanted = train[direction[train] == one], direction[held] == one
+        best = choose_penalty(x[own], level[own], y[own], rng)
         spline = SmoothingSpline(x[own], level[own], y[own])
-        best = PENALTIES[np.argmin(squares)]
         predicted[wanted] = spline.predict(best, x[held[wanted]], level[held[wanted]])
     return predicted
+
+
+def log_lengths(rows: pd.DataFrame) -> np.ndarray:
+    """Of traverses, shape (n,)."""
+    return np.log((rows["stop"] - rows["start"]).abs().to_numpy(float))
 
 
 def spline_error(diagnosis: Diagnosis) -> float:
     """Rms error of the spline on the rows that the diagnosis holds out, from the same training rows."""
     problem = diagnosis.selection.problem
     rows, rng = problem.rows, np.random.default_rng(0)
-    y = np.log((rows["stop"] - rows["start"]).abs().to_numpy(float)) - problem.responses
+    y = log_lengths(rows) - problem.responses
     errors = [
         y[split.held_out] - predict_spline(rows, y, split.train, split.held_out, rng)
         for split in hold_out_configurations(diagnosis.selection)
@@ -149,13 +163,52 @@ def compare(positioner: str, joint: str, cut: int) -> Line:
     return Line(positioner, joint, cut, diagnosis.verdict, causes, *errors, seconds)
 
 
+def compare_new_day(positioner: str, joint: str, number: int) -> np.ndarray:
+    """Rms errors in a new session: law alone, law with known causes, spline with new levels; shape (3,)."""
+    log, rng = read_cut(positioner, joint, 1), np.random.default_rng(int(positioner))
+    rows, new = log.rows, (log.rows["session"] == LATEST).to_numpy()
+    direction, begun = rows["direction"].to_numpy(object), np.zeros(len(rows), dtype=bool)
+    for one in np.unique(direction):
+        own = np.flatnonzero(new & (direction == one))
+        begun[own[np.linspace(0, len(own) - 1, number // 2).round().astype(int)]] = True
+    y = log_lengths(rows) - np.log(rows["steps"].to_numpy(float))
+    middle, level = rows[["start", "stop"]].mean(axis=1).to_numpy(), pd.factorize(rows["session"])[0]
+    x, spline = (middle - middle.min()) / np.ptp(middle), np.zeros(len(rows))
+    for one in np.unique(direction):
+        own = direction == one
+        known = x[own & ~new], level[own & ~new], y[own & ~new]
+        smooth, penalty = SmoothingSpline(*known), choose_penalty(*known, rng)
+        spline[own] = smooth.predict(penalty, x[own], np.full(np.sum(own), level[own][0]))
+        spline[own] += np.mean((y - spline)[own & begun])
+    diagnosis, begin = diagnose(log.select(~new), gain=False), log.select(begun)
+    law = diagnosis.extended_law() if diagnosis.findings else None
+    fits = fit(begin), fit(begin, causes_from=law)
+    rest = rows[new & ~begun]
+    predicted = [log_lengths(rest) - np.log(one.predict(rest)["steps"].to_numpy(float)) for one in fits]
+    wanted = y[new & ~begun]
+    return np.sqrt([np.mean((wanted - one) ** 2) for one in (*predicted, spline[new & ~begun])])
+
+
 def main() -> None:
     """Print a line for each positioner, joint and cut, and how many hold."""
     parser = argparse.ArgumentParser()
     parser.add_argument("positioners", nargs="*")
+    parser.add_argument(
+        "--new-day", type=int, metavar="K", help="traverses of the latest version, at least 4"
+    )
     chosen = parser.parse_args()
     if not SHARED.exists():
         print("the Cobra motor maps are not here: nothing to compare")
+        return
+    if chosen.new_day:
+        errors = []
+        for positioner in chosen.positioners or positioners():
+            for joint in JOINTS:
+                errors.append(compare_new_day(positioner, joint, chosen.new_day))
+                told = "law alone {:.1f} %  known causes {:.1f} %  spline {:.1f} %".format(*100 * errors[-1])
+                print(f"{positioner:>3s} {joint:5s} {told}", flush=True)
+        mean = 100 * np.sqrt(np.mean(np.square(errors), axis=0))
+        print("rms: law alone {:.1f} %, known causes {:.1f} %, spline {:.1f} %".format(*mean))
         return
     lines = []
     for positioner in chosen.positioners or positioners():

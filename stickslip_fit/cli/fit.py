@@ -128,13 +128,13 @@ def check_fit_options(options: EstimatorOptions, outputs: FitOutputs) -> None:
     if options.causes_from is not None:
         if options.method is Method.bayes:
             raise InputError("--causes-from belongs to the closed form and to least squares")
-        for option, value in (
-            ("--cause", options.causes),
-            ("--campaign-wide", options.campaign_wide),
-            ("--profile", options.profile),
-        ):
-            if value:
-                raise InputError(f"--causes-from and {option} are alternatives; choose one")
+        others = {
+            "--cause": options.causes,
+            "--campaign-wide": options.campaign_wide,
+            "--profile": options.profile,
+        }
+        for option in (name for name, value in others.items() if value):
+            raise InputError(f"--causes-from and {option} are alternatives; choose one")
     check_chart(outputs.chart)
     if outputs.tree is not None and outputs.tree.suffix != ".nc":
         message = "is netCDF: end its name in .nc"

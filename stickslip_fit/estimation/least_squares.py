@@ -141,11 +141,10 @@ def fit_least_squares(
             fits.append(iterate_weights([problem], problem, options))
     joints = [joint for fit in fits for joint in _joint_results(fit, log.machine, options)]
     if known is not None:
-        released = [
-            release_causes(own, known, _differentiate_minimum(fit, own))
-            for fit, (own, _, _) in zip(fits, joints, strict=True)
+        joints = [
+            (release_causes(own, known, _differentiate_minimum(fit, own)), residual, flags)
+            for fit, (own, residual, flags) in zip(fits, joints, strict=True)
         ]
-        joints = [(own, *rest) for own, (_, *rest) in zip(released, joints, strict=True)]
     flags = [flag for _, _, flags in joints for flag in flags]
     if causes:
         at_bound = [fits[0].minimum_of(number).at_bound for number in range(len(problems))]
