@@ -291,6 +291,8 @@ def build_per_session_hypotheses(
 
     `n` is the number of rows; `effects`, shape (n, number of names, w), are whitened.
     """
+    if not names:
+        return []
     versions = [None] * len(names) if versions is None else versions
     shared = sessions[0].shared
     if shared is not None and 1 < len(sessions) <= MAX_COUPLED_SESSIONS:

@@ -1,5 +1,7 @@
 """What counts as noise: uneven, heavy in the tails, with wild counts or memory; and what hides in it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -165,7 +167,9 @@ def test_a_log_too_short_for_periods_has_no_hypothesis_of_one(rows, linearize):
     linearized = linearize(NOISE * np.random.default_rng(4).standard_normal(len(rows)))
     none = np.zeros((len(rows), 0, 2))
     sessions = list(split_sessions(linearized).values())
-    assert build_per_session_hypotheses([], len(rows), sessions, none) == []
+    coupled = [replace(one, shared=np.eye(len(rows))[:, :1]) for one in sessions]
+    for every in (sessions, coupled):
+        assert build_per_session_hypotheses([], len(rows), every, none) == []
 
 
 def test_cosines_are_those_of_the_angles_between_spans(rows, linearize):
