@@ -97,7 +97,7 @@ class LeftOut:
             for c in np.unique(rank).tolist():
                 some = np.flatnonzero(rank == c)
                 scaled = vectors[some, :, size - c :] / np.sqrt(known[some, None, size - c :])
-                numbers = np.arange(width, width := width + len(some) * c).reshape(-1, c)
+                numbers = np.arange(width, width := width + len(some) * c).reshape(len(some), c)
                 members = np.stack([groups[k] for k in alike[some]])
                 blocks.append(_LeftOutBlocks(members, scaled.swapaxes(1, 2), numbers))
         roots = csr_array((len(rows), width))

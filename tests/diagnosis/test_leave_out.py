@@ -75,6 +75,17 @@ def test_products_are_those_under_the_inverse_of_the_projector():
     np.testing.assert_allclose(left[kept], columns[kept] - fitted, atol=1e-10)
 
 
+def test_a_group_of_as_many_rows_as_parameters_says_nothing_of_the_others():
+    rng, n = np.random.default_rng(3), 12
+    basis = np.zeros((n, 4))
+    basis[:2, :2], basis[2:7, 2], basis[7:, 3] = np.eye(2), 5**-0.5, 5**-0.5
+    columns = rng.standard_normal((n, 2))
+    columns -= basis @ (basis.T @ columns)
+    left_out = LeftOut.of(csr_array(basis), np.array([0, 1]))
+    assert left_out.own.shape[1] == 0
+    np.testing.assert_allclose(left_out.remove(columns, csr_array(basis)), columns, atol=1e-12)
+
+
 @pytest.mark.parametrize("out", ["a tenth", "a third", "a session"])
 def test_the_evidence_is_that_of_a_log_without_the_rows(problem, out):
     session = pd.factorize(problem.rows["session"].astype(object))[0]
