@@ -70,9 +70,11 @@ def find_strength(
     signal = strengths[:, None] ** 2 * share
     evidence = strength_evidence(signal, along, residual, df)
     best = int(np.argmax(evidence))
-    explained = (signal[best] / (1.0 + signal[best])) @ along**2
-    noise = max(float(residual @ residual - explained), 0.0) / df
-    return LikeliestStrength(float(evidence[best]), float(strengths[best]), noise)
+    # Of what lies along the directions this share is left, which a difference would lose to rounding.
+    left = max(float(residual @ residual - along @ along), 0.0) + float(
+        np.sum(along**2 / (1.0 + signal[best]))
+    )
+    return LikeliestStrength(float(evidence[best]), float(strengths[best]), left / df)
 
 
 def column_evidence(columns: Array, residual: Array, df: int, one_sided: BoolArray) -> Array:

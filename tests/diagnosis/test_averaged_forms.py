@@ -9,7 +9,7 @@ import pytest
 from stickslip_fit.causes.proposed import SmoothTerm
 from stickslip_fit.causes.smooth import prior_sds
 from stickslip_fit.diagnosis.averaged_forms import LEARNING_RATE, LENGTHS, SHARES, average_forms
-from stickslip_fit.diagnosis.evidence import WIDE_STRENGTHS
+from stickslip_fit.diagnosis.evidence import WIDE_STRENGTHS, find_strength
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.logs import read_log
@@ -121,3 +121,11 @@ def test_it_is_the_average_over_all_forms_by_their_dense_covariances(tmp_path):
         expected = sum(w * one[key] for w, one in zip(weight, size, strict=True)) / weight.sum()
         assert own.sum() == pytest.approx(expected.sum(), rel=0.05)
         np.testing.assert_allclose(own[:5], expected[:5], rtol=0.1)
+
+
+def test_what_a_function_leaves_of_residuals_that_it_explains_is_not_lost_to_rounding():
+    residual = np.random.default_rng(4).standard_normal(6)
+    along, share = residual * (1.0 + 1e-8), np.full(6, 1 / 6)  # directions are orthonormal but for rounding
+    found = find_strength(along, share, residual, 8)
+    assert found.strength == WIDE_STRENGTHS[-1]
+    assert found.noise == pytest.approx(np.sum(residual**2 / (1.0 + found.strength**2 / 6)) / 8, rel=1e-6)
