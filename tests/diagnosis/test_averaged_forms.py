@@ -127,5 +127,5 @@ def test_what_a_function_leaves_of_residuals_that_it_explains_is_not_lost_to_rou
     residual = np.random.default_rng(4).standard_normal(6)
     along, share = residual * (1.0 + 1e-8), np.full(6, 1 / 6)  # directions are orthonormal but for rounding
     found = find_strength(along, share, residual, 8)
-    assert found.strength == WIDE_STRENGTHS[-1]
+    assert found.strength > 1000.0
     assert found.noise == pytest.approx(np.sum(residual**2 / (1.0 + found.strength**2 / 6)) / 8, rel=1e-6)
