@@ -8,6 +8,7 @@ are symbolic. Values and derivatives are computed together, so that what they ha
 from __future__ import annotations
 
 import ast
+import keyword
 import math
 import re
 import warnings
@@ -27,6 +28,9 @@ MAX_DEPTH = 30  # of the tree; a sum or product of many is flat
 MAX_NODES = 400
 MAX_POWER = 64  # of powers within powers, multiplied
 MAX_NUMBER = 1e100
+# Words of Python's expressions; its other keywords, such as lambda and yield, are names like any other.
+RESERVED = frozenset(("and", "or", "not", "in", "is", "if", "else", "for", "True", "False", "None"))
+_NAMES = re.compile(rf"""("[^"]*"|'[^']*')|\b({"|".join(set(keyword.kwlist) - RESERVED)})\b""")
 CONSTANTS = {"pi": math.pi}
 
 
@@ -71,6 +75,11 @@ _POWERS: dict[str, tuple[Numpy, Derivatives]] = {
     "** by exponent": (_power_by_exponent, lambda f, x, a: (0, 0)),  # of which none is ever taken
 }
 GRAMMAR = f'numbers, names, Q("any name"), + - * / ** ( ), pi, and the functions {", ".join(FUNCTIONS)}'
+
+
+def is_name(text: str) -> bool:
+    """Whether a formula names a column so, without Q("...")."""
+    return text.isidentifier() and text not in RESERVED
 
 
 @dataclass(frozen=True)
@@ -304,12 +313,18 @@ class _Reader:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                return ast.parse(self.text, mode="eval").body
+                # Of the same length, so that places are those in the text.
+                parsed = _NAMES.sub(lambda found: found[1] or f"{found[2][:-1]}_", self.text)
+                tree = ast.parse(parsed, mode="eval").body
         except SyntaxError as error:
             place = self.offset + max((error.offset or 1) - 1, 0)
             refuse(self.whole, place, f"it cannot be read ({error.msg})", GRAMMAR)
         except (ValueError, MemoryError, RecursionError) as error:
             refuse(self.whole, self.offset, f"it cannot be read ({error})", GRAMMAR)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Name):  # the parser's own name is normalized: µ is another letter
+                node.id = self.text.encode()[node.col_offset : node.end_col_offset].decode()
+        return tree
 
     def refuse(self, node: ast.AST, reason: str) -> NoReturn:
         """Raise the InputError for a node."""
@@ -325,8 +340,8 @@ class _Reader:
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
                 return self._number(node, number)
-            case ast.Name():
-                return self._name(node, self._written(node))
+            case ast.Name(id=name):
+                return self._name(node, name)
             case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
                 value = self._node(operand, depth + 1, power)
                 return -value if isinstance(sign, ast.USub) else value
@@ -346,10 +361,6 @@ class _Reader:
         if isinstance(node, ast.Attribute) and node.attr in FUNCTIONS:
             return f"write {node.attr}(...) alone in place of {what!r}"
         return f"{what!r} is not part of a formula"
-
-    def _written(self, node: ast.Name) -> str:
-        """A name as it stands in the text; the parser's own is normalized (µ becomes another letter)."""
-        return self.text.encode()[node.col_offset : node.end_col_offset].decode()
 
     def _name(self, node: ast.expr, name: str) -> Any:
         if name in CONSTANTS and isinstance(node, ast.Name):
@@ -398,7 +409,7 @@ class _Reader:
                     return self._name(node, quoted)
             self.refuse(node, "Q(...) takes the name of a column in quotes")
         if name not in FUNCTIONS:
-            self.refuse(node, f"{shorten(self._written(called))!r} is no function of a formula")
+            self.refuse(node, f"{shorten(name)!r} is no function of a formula")
         function, derivatives = FUNCTIONS[name]
         needed = derivatives.__code__.co_argcount - 1
         several = name in ("min", "max")

@@ -52,6 +52,16 @@ def test_values_are_those_of_numpy_and_derivatives_those_of_differences(text):
         np.testing.assert_allclose(slopes[:, k], numerical, rtol=1e-7, atol=1e-7)
 
 
+def test_keywords_of_python_are_names_like_any_other():
+    """A yield, a wavelength and a class of steel are common columns and parameters."""
+    expression = parse_expression("yield*sin(2*pi*x/lambda) + Q('from') - class")
+    assert expression.names == ("yield", "x", "lambda", "from", "class")
+    value = expression.evaluate({"yield": 2.0, "x": 0.25, "lambda": 1.0, "from": 5.0, "class": 4.0})
+    assert value == pytest.approx(3.0)
+    with pytest.raises(InputError, match="character 8, it cannot be read"):
+        parse_expression("lambda x: x")
+
+
 @pytest.mark.parametrize(
     "name", ["exp", "sin", "cos", "tan", "sinh", "cosh", "tanh", "log", "sqrt", "arctan"]
 )
@@ -116,7 +126,7 @@ REFUSED = {
     "x.__class__": "not part of a formula",
     "np.sin(x)": r"write sin\(...\) alone",
     "open(x)": "'open' is no function",
-    "(lambda: x)()": "not part of a formula",
+    "(lambda: x)()": "character 8, it cannot be read",
     "[x for x in y]": "not part of a formula",
     "x if y else a": "not part of a formula",
     "x and y": "not part of a formula",

@@ -116,6 +116,7 @@ def diagnose(
 
 def suggest_table_command(path: Path, sheet: str | None) -> list[InputIssue]:
     """The command for a file that is a table, and no log: it has neither joints nor steps."""
+    from stickslip_fit._expression import is_name
     from stickslip_fit.logs.table_file import read_table_file
 
     try:
@@ -125,7 +126,7 @@ def suggest_table_command(path: Path, sheet: str | None) -> list[InputIssue]:
     names = [str(name) for name in frame if frame[name].dtype.kind in "if"]
     if {"joint", "steps"} & set(map(str, frame)) or not names:
         return []
-    are_plain = len(names) > 1 and all(map(str.isidentifier, names))
+    are_plain = len(names) > 1 and all(map(is_name, names))
     formula = f"{names[-1]} ~ a + b*{names[0]}" if are_plain else "RESPONSE ~ a + b*COLUMN"
     command = shlex.join(["stickslip-fit", "diagnose-table", str(path), "--law", formula])
     message = (

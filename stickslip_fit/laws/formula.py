@@ -18,7 +18,7 @@ from typing import Any
 
 import pandas as pd
 
-from stickslip_fit._expression import Expression, parse_expression, parse_formula
+from stickslip_fit._expression import Expression, is_name, parse_expression, parse_formula
 from stickslip_fit._function import NO_FUNCTIONS, NumericFunction, find_function
 from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.laws.base import Parameter, Rows
@@ -276,7 +276,7 @@ def restore_formula_law(
 
 def _quote(name: str) -> Expression:
     """A column whatever its name, or an expression of columns."""
-    if name.isidentifier():
+    if is_name(name):
         return parse_expression(name)
     return parse_expression(name if "(" in name else f'Q("{name}")')
 

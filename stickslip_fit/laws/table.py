@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._expression import Expression
+from stickslip_fit._expression import Expression, is_name
 from stickslip_fit._function import NumericFunction
 from stickslip_fit._typing import Array
 from stickslip_fit.errors import InputError, InputIssue, shorten
@@ -182,7 +182,7 @@ def as_written(column: str) -> str:
     >>> as_written("x"), as_written("x (mm)")
     ('x', 'Q("x (mm)")')
     """
-    return column if column.isidentifier() else f'Q("{column}")'
+    return column if is_name(column) else f'Q("{column}")'
 
 
 def _is_one_edit(one: str, other: str) -> bool:
