@@ -256,8 +256,9 @@ class PosteriorInSI:
         return self.posterior.result.si.parameters
 
     def predict(self, rows: pd.DataFrame, *, seed: int = 0) -> pd.DataFrame:
-        """As `Posterior.predict`: steps, step_size (m or rad), relative_error (a fraction), low, high."""
-        return self.posterior._predict(rows, seed)
+        """As `Posterior.predict`, in rad or m; relative_error and extrapolated as fractions."""
+        share = self.posterior.result.extrapolated_share(rows)
+        return self.posterior._predict(rows, seed).assign(extrapolated=share)
 
 
 FORMAT, VERSION = "stickslip-fit/posterior", 1

@@ -24,6 +24,7 @@ from stickslip_fit.estimation.identifiability import (
 from stickslip_fit.estimation.noise import COVERAGE
 from stickslip_fit.estimation.result import ALL_JOINTS, build_provenance
 from stickslip_fit.estimation.reweighting import flag_outliers
+from stickslip_fit.estimation.travel import driven_stretches
 from stickslip_fit.laws import observed_count
 from stickslip_fit.logs import Log
 from stickslip_fit.machine import Machine
@@ -303,5 +304,6 @@ def _fit_joint(
             residual = np.full_like(residual, np.nan)
         columns = {"joint": joint, "residual": residual, "used": True}
         residuals.append(pd.DataFrame(columns, index=sample.traverses.rows.index))
-    fit = JointFit(law, table, values, known, covariance, interval, repeatability)
+    travel = driven_stretches(pd.concat([sample.traverses.rows for sample in samples.values()]))
+    fit = JointFit(law, table, values, known, covariance, interval, repeatability, travel=travel)
     return fit, pd.concat(residuals), flags

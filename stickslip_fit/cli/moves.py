@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stickslip_fit.cli._files import Output
+from stickslip_fit.cli._files import INPUT, Output
 from stickslip_fit.cli._options import (
     ArmSource,
     At,
-    Calibration,
     Condition,
     LawNames,
     MachinePath,
-    PlanPath,
     Session,
     Sheet,
     check_chart,
     load_fit,
     parse_drive,
     parse_joint_order,
+    parse_path,
     parse_plan_conditions,
     parse_positions,
     parse_tip_position,
@@ -34,18 +34,66 @@ from stickslip_fit.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from pandas import DataFrame
+
     from stickslip_fit._summary import Summary
     from stickslip_fit.estimation import Result
+    from stickslip_fit.logs.plan import Plan
 
 MapChart = Annotated[
     Path | None, typer.Option("--chart", help="Also draw the map here: .png, .svg or .pdf."), Output()
 ]
 
 
+class Direction(StrEnum):
+    """Direction of a drive."""
+
+    plus = "+"
+    minus = "-"
+
+
+@dataclass(frozen=True)
+class OneDrive:
+    """A drive as typed, in place of a file: degrees, or mm of a prismatic joint."""
+
+    joint: Annotated[
+        int | None, typer.Option(min=1, help="Instead of a file, one drive: of this joint, or the only one.")
+    ] = None
+    start: Annotated[
+        float | None, typer.Option("--from", help="Where it begins, deg or mm; the end of the range.")
+    ] = None
+    stop: Annotated[
+        float | None, typer.Option("--to", help="Where it ends, deg or mm; the end of the range.")
+    ] = None
+    direction: Annotated[
+        Direction | None, typer.Option(help="Of that drive; not needed beside --from and --to.")
+    ] = None
+
+    @property
+    def given(self) -> bool:
+        """Whether there is one."""
+        return any(one is not None for one in (self.joint, self.start, self.stop, self.direction))
+
+    def row(self, result: Result, conditions: Mapping[str, float]) -> DataFrame:
+        """The drive as `read_drives` returns it."""
+        from stickslip_fit.moves.drives import one_drive
+
+        way = None if self.direction is None else self.direction.value
+        return one_drive(result, self.joint, way, (self.start, self.stop), conditions)
+
+
 def predict(
     *,
-    calibration: Calibration,
-    plan: PlanPath,
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG|RESULT PLAN|DRIVES",
+            parser=parse_path,
+            help="A log to fit, or a saved result; then a plan (TOML), or drives: a log without counts.",
+        ),
+        INPUT,
+    ],
+    drive: OneDrive,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="CSV to write with every traverse."), Output()
     ] = None,
@@ -56,21 +104,37 @@ def predict(
     sheet: Sheet = None,
     display: Display,
 ) -> None:
-    """Predict the counts of a plan's traverses, with 95 % intervals."""
+    """Predict the counts of a plan's traverses, or of drives of any machine, with 95 % intervals."""
     from stickslip_fit._io import write_atomically
-    from stickslip_fit.logs.plan_reader import read_plan
     from stickslip_fit.moves.prediction import predict
-    from stickslip_fit.reporting.moves import predictions_csv, summarize_predictions
+    from stickslip_fit.reporting.predictions import predictions_csv, summarize_predictions
 
+    if not drive.given and len(files) < 2:
+        raise InputError(
+            f"after {files[0]} name a plan (TOML) or a file of drives (CSV), or give one drive by --joint, "
+            "--from, --to and --direction"
+        )
+    calibration, file = (files, None) if drive.given else (files[:-1], files[-1])
     fitted, result = load_fit(calibration, machine, law, sheet)
-    planned = read_plan(plan, result.machine)
-    conditions = parse_plan_conditions(condition, result)
+    if file is not None and file.suffix == ".toml":
+        from stickslip_fit.logs.plan_reader import read_plan
+
+        planned: Plan | DataFrame = read_plan(file, result.machine)
+        conditions = known = parse_plan_conditions(condition, result)
+    else:
+        from stickslip_fit.moves.arm import parse_conditions
+        from stickslip_fit.moves.drives import read_drives
+
+        conditions = parse_conditions(condition or (), result, "--condition")
+        drives = drive.row(result, conditions) if file is None else read_drives(file, fitted, conditions)
+        known = {name: 0.0 for name in drives if drives[name].notna().all()}
+        planned = drives if session is None else drives.assign(session=drives["session"].replace("", session))
     predicted = predict(fitted, planned, session, conditions)
     if output is not None:
-        write_atomically(output, predictions_csv(planned, predicted))
-    summary = with_conditions(summarize_predictions(result, planned, predicted), result, conditions)
+        write_atomically(output, predictions_csv(result, planned, predicted))
+    summary = summarize_predictions(result, planned, predicted, "One drive" if file is None else file.name)
     saved = [f"all {len(predicted):,} written to {output}"] if output is not None else []
-    show(summary, display, [*calibration, plan], saved)
+    show(with_conditions(summary, result, known), display, files, saved)
 
 
 def plan_move(

@@ -35,6 +35,7 @@ from stickslip_fit.estimation.noise import (
 )
 from stickslip_fit.estimation.result import JointFit, Result, build_provenance
 from stickslip_fit.estimation.reweighting import flag_outliers
+from stickslip_fit.estimation.travel import driven_stretches
 from stickslip_fit.estimation.with_causes import (
     FixedCauseLaw,
     FixedCauses,
@@ -191,7 +192,10 @@ def _calibrate_joint(
     df = np.array([repeatability[direction].df for direction in groups.table["direction"]])
     covariance[df < 1] = np.nan
     interval = quadratic_interval(values, covariance, groups.table, repeatability)
-    fit = JointFit(law, groups.table, values, np.isfinite(values), covariance, interval, repeatability)
+    driven, known_values = driven_stretches(rows), np.isfinite(values)
+    fit = JointFit(
+        law, groups.table, values, known_values, covariance, interval, repeatability, travel=driven
+    )
     if known is None:
         return fit
     return release_causes(fit, known, difference_sensitivity(fit, known, solve))

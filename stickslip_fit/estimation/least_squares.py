@@ -42,6 +42,7 @@ from stickslip_fit.estimation.noise import (
 )
 from stickslip_fit.estimation.result import JointFit, Result, build_provenance
 from stickslip_fit.estimation.reweighting import ConvergedFit, flag_outliers, from_residuals, iterate_weights
+from stickslip_fit.estimation.travel import driven_stretches
 from stickslip_fit.estimation.with_causes import (
     FixedCauseLaw,
     fixed_causes,
@@ -239,7 +240,8 @@ def _joint_result(
             values, at_bound, problem.lower, all_gradient[place, columns], unbounded, reach
         )
     shared = tuple(parameter.name for parameter in law.parameters if parameter.name in options.shared)
-    joint = JointFit(law, groups.table, values, known, covariance, interval, repeatability, shared)
+    travel = driven_stretches(problem.rows)
+    joint = JointFit(law, groups.table, values, known, covariance, interval, repeatability, shared, travel)
     published = published_problem(problem)
     own, information = slice(0, len(published.law.parameters)), fit.information[fit.rows(number)]
     flags = _flag_unidentified(

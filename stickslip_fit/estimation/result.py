@@ -10,7 +10,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes import ExtendedLaw, describe
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.noise import Flag, NoiseLevel, t_quantile
+from stickslip_fit.estimation.travel import Stretches, undriven_share
 from stickslip_fit.laws import StepLaw, expected_steps, traverse_length
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.history import DEPARTURES, follow_departures
@@ -88,7 +89,9 @@ def build_provenance(log: Log, command: str) -> Provenance:
 
 AxesArray = npt.NDArray[np.object_]  # of a figure, panel by panel
 PREDICTION_COLUMNS = ("steps", "step_size", "relative_error", "low", "high")
-SHOWN_PREDICTION_COLUMNS = ("calibration", "steps", "low", "high", "step_size", "unit", "error_pct")
+SHOWN_PREDICTION_COLUMNS = (
+    *("calibration", "steps", "low", "high", "step_size", "unit", "error_pct", "extrapolated_pct"),
+)
 PARAMETER_NUMBERS = ("estimate", "standard_error", "low", "high")
 OUTLYING_SD = 6.0  # standard deviations by which an outlying count is off
 ALL_JOINTS = 0  # in place of a joint, for what concerns all of them
@@ -115,6 +118,9 @@ class JointFit:
         By direction.
     shared : tuple of str
         Parameters with one value in each direction for all sessions; it stands in each of their groups.
+    travel : dict of str to tuple of (float, float)
+        By direction, the stretches that the fitted traverses cover, rad or m; empty where that is not known,
+        as of files of earlier versions.
     """
 
     law: StepLaw
@@ -125,6 +131,7 @@ class JointFit:
     interval: Array
     repeatability: dict[str, NoiseLevel]
     shared: tuple[str, ...] = ()
+    travel: dict[str, Stretches] = field(default_factory=dict)
 
     @property
     def cause_parameters(self) -> tuple[str, ...]:
@@ -312,8 +319,10 @@ class Result(Summarized):
         Returns
         -------
         DataFrame, indexed as `rows`
-            steps; step_size in unit (nm or µrad); error_pct, the law's from its parameters, in %; and
-            low, high: 95 % interval of the steps that a new traverse takes, its own scatter included.
+            steps; low, high: 95 % interval of the steps that a new traverse takes, its own scatter included;
+            step_size in unit (nm or µrad); error_pct, the law's from its parameters, in %; and
+            extrapolated_pct, the share of the traverse, in %, where no traverse of the fitted log went in its
+            direction, so that the law is a guess there (NaN where the result does not know where they went).
             `Result.si` has the same in SI.
 
         Raises
@@ -347,6 +356,21 @@ class Result(Summarized):
 
         return self._predict_each(follow_departures(rows, depart))
 
+    def extrapolated_share(self, rows: pd.DataFrame) -> Array:
+        """Share of each traverse where none of the fitted log's went in its direction, shape (n,).
+
+        NaN of a joint of which that is not known.
+        """
+        start, stop = rows["start"].to_numpy(float), rows["stop"].to_numpy(float)
+        joints, ways = rows["joint"].to_numpy(int), rows["direction"].to_numpy(object)
+        share = np.full(len(rows), np.nan)
+        for joint, fit in self.joints.items():
+            for way in "+-" if fit.travel else "":
+                own = (joints == joint) & (ways == way)
+                stretches = fit.travel.get(way, ())
+                share[own] = undriven_share(start[own], stop[own], stretches, self.machine.span(joint))
+        return share
+
     def _noise_of(self, rows: pd.DataFrame) -> Array:
         """Repeatability of each row's joint and direction, relative, shape (n,)."""
         known = {
@@ -373,7 +397,10 @@ class Result(Summarized):
                 f"{missing['direction']}; sessions fitted: {fitted}"
             )
         response, jacobian = fit.law.model(rows)(fit.values[group])
-        spread = np.sqrt(np.einsum("ni,nij,nj->n", jacobian, fit.covariance[group], jacobian))
+        spread = np.empty(len(rows))
+        for own in np.unique(group):  # a matrix for each row would not fit into memory
+            slopes = jacobian[group == own]
+            spread[group == own] = np.sqrt(np.sum(slopes @ fit.covariance[own] * slopes, axis=1))
         reaches = {sign: t_quantile(level.df) for sign, level in fit.repeatability.items()}
         total = rows["direction"].map(reaches).to_numpy(float) * np.hypot(spread, self._noise_of(rows))
         steps = np.exp(response)
@@ -403,8 +430,8 @@ class ResultInSI:
         return self.result._collect_parameters()
 
     def predict(self, rows: pd.DataFrame) -> pd.DataFrame:
-        """As `Result.predict`: steps, step_size (m or rad), relative_error (a fraction), low, high."""
-        return self.result._predict(rows)
+        """As `Result.predict`, in rad or m; relative_error and extrapolated as fractions."""
+        return self.result._predict(rows).assign(extrapolated=self.result.extrapolated_share(rows))
 
 
 def convert_table(table: pd.DataFrame, numbers: Sequence[str]) -> pd.DataFrame:
@@ -422,8 +449,9 @@ def convert_predictions(predicted: pd.DataFrame, rows: pd.DataFrame, machine: Ma
     units = {int(joint): step_unit(int(joint), machine) for joint in rows["joint"].unique()}
     table = predicted.assign(unit=rows["joint"].map(units).astype(object))
     table = convert_table(table, ["step_size"])
-    if "relative_error" in table:
-        table["error_pct"] = from_si(table["relative_error"].to_numpy(float), "%")
+    for name, shown in (("relative_error", "error_pct"), ("extrapolated", "extrapolated_pct")):
+        if name in table:
+            table[shown] = from_si(table[name].to_numpy(float), "%")
     return table[[name for name in SHOWN_PREDICTION_COLUMNS if name in table]]
 
 
@@ -547,4 +575,5 @@ def _joint_to_json(fit: JointFit, common: Array | None) -> dict[str, Any]:
             direction: {**asdict(noise), "value": to_plain(noise.value)}
             for direction, noise in fit.repeatability.items()
         },
+        **({"travel": {way: [*map(list, own)] for way, own in fit.travel.items()}} if fit.travel else {}),
     }

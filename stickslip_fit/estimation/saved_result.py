@@ -31,6 +31,7 @@ from stickslip_fit.estimation.result import (
     compute_checksum,
     parameters_to_json,
 )
+from stickslip_fit.estimation.travel import are_stretches
 from stickslip_fit.laws import Laws, StepLaw, UnknownLawError
 from stickslip_fit.logs.schema import CONDITIONS
 from stickslip_fit.machine import Machine
@@ -198,6 +199,7 @@ def _validate(content: dict[str, Any]) -> Any:
         covariance: list[list[list[float | None]]]
         interval: list[list[list[float | None]]]
         repeatability: dict[Literal["+", "-"], NoiseTable]
+        travel: dict[Literal["+", "-"], list[tuple[float, float]]] = {}
 
     class ResidualTable(Table):
         row: list[int]
@@ -284,7 +286,9 @@ def _build_joint(
             for direction, noise in item.repeatability.items()
         },
         shared=tuple(item.shared),
+        travel={way: tuple(stretches) for way, stretches in item.travel.items()},
     )
+    require(all(map(are_stretches, fit.travel.values())), f"travel of {name}")
     require({*item.directions} <= {*fit.repeatability}, f"repeatability of {name}")
     noise = [level.value for level in fit.repeatability.values()]
     require(not any(value < 0 or value > MAX_REPEATABILITY for value in noise), f"repeatability of {name}")

@@ -246,13 +246,13 @@ def build_sheet(plan: Plan) -> pd.DataFrame:
             "joint": rows["joint"],
             "direction": rows["direction"],
             "steps": blank,
-            **{f"{name}_deg": _format_cells(rows[name], "deg") for name in ("q1", "q2")},
-            "q3_mm": _format_cells(rows["q3"], "mm"),
-            **{f"{name}_deg": _format_cells(rows[name], "deg") for name in ("theta", "psi")},
-            **{f"{name}_deg": _format_cells(end.where(rotary), "deg") for name, end in ends.items()},
-            **{f"{name}_mm": _format_cells(end.where(~rotary), "mm") for name, end in ends.items()},
+            **{f"{name}_deg": format_cells(rows[name], "deg") for name in ("q1", "q2")},
+            "q3_mm": format_cells(rows["q3"], "mm"),
+            **{f"{name}_deg": format_cells(rows[name], "deg") for name in ("theta", "psi")},
+            **{f"{name}_deg": format_cells(end.where(rotary), "deg") for name, end in ends.items()},
+            **{f"{name}_mm": format_cells(end.where(~rotary), "mm") for name, end in ends.items()},
             "check_every": rows["check_every"],
-            "step_period_ms": _format_cells(rows["step_period"], "ms"),
+            "step_period_ms": format_cells(rows["step_period"], "ms"),
             "status": rows["status"].replace("ok", ""),
             "note": blank,
         }
@@ -270,7 +270,7 @@ def write_sheet_csv(plan: Plan, path: str | Path) -> None:
     write_atomically(path, build_sheet(plan).to_csv(index=False, lineterminator="\n"))
 
 
-def _format_cells(values: pd.Series, symbol: str) -> list[str]:
+def format_cells(values: pd.Series, symbol: str) -> list[str]:
     """Rounded numbers; empty for NaN."""
     return [
         "" if np.isnan(value) else f"{value + 0.0:.10g}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from functools import cached_property, partial
@@ -22,7 +22,7 @@ import pyarrow as pa
 from stickslip_fit._format import join_words
 from stickslip_fit._typing import Array, BoolArray, Int64Array
 from stickslip_fit.errors import InputError, InputIssue
-from stickslip_fit.logs._files import SourcePath, hash_sources, open_sources
+from stickslip_fit.logs._files import SourcePath, Sources, hash_sources, open_sources
 from stickslip_fit.logs._table import IssueCollector, IssueMessage, label_codes, run_in_threads
 from stickslip_fit.logs._units import doubt_units
 from stickslip_fit.logs.history import add_session_history, add_unknown_history, steps_before
@@ -35,6 +35,7 @@ from stickslip_fit.logs.schema import (
     NO_TIMES,
     ORIENTATION,
     LogCells,
+    LogFormat,
     locate_row,
     log_format,
     match_columns,
@@ -105,8 +106,8 @@ class RowKeys:
         }
 
 
-def read_row_keys(files: list[LogCells], machine: Machine) -> RowKeys:
-    """Read and check session, time, joint and steps."""
+def read_row_keys(files: list[LogCells], machine: Machine, *, labelled: bool = True) -> RowKeys:
+    """Read and check session, time, joint and steps; every session has a label if `labelled`."""
     has_times = _check_time_columns(files)
 
     def counts(field: str, message: str, maximum: int = MAX_STEPS) -> Int64Array:
@@ -114,7 +115,7 @@ def read_row_keys(files: list[LogCells], machine: Machine) -> RowKeys:
 
     read = run_in_threads(
         {
-            "sessions": lambda: _read_sessions(files),
+            "sessions": lambda: _read_sessions(files, labelled),
             "times": lambda: [cells.times("time") for cells in files],
             "joint": lambda: counts("joint", _bad_joint_message(machine), len(machine.joints)),
             "steps": lambda: counts("steps", _BAD_COUNT_MESSAGE),
@@ -161,13 +162,13 @@ def _check_time_columns(files: list[LogCells]) -> bool:
     return required or any(timed)
 
 
-def _read_sessions(files: list[LogCells]) -> tuple[tuple[str, ...], Int64Array]:
+def _read_sessions(files: list[LogCells], labelled: bool) -> tuple[tuple[str, ...], Int64Array]:
     encoded = pa.concat_arrays([cells.texts("session") for cells in files]).dictionary_encode()
     unsorted = np.array(encoded.dictionary.to_pylist(), dtype=object)
     order = np.argsort(unsorted)
     session = np.argsort(order)[encoded.indices.to_numpy()]
     labels = tuple(unsorted[order])
-    blank = np.array([not label.strip() for label in labels], np.bool_)[session]
+    blank = np.array([labelled and not label.strip() for label in labels], np.bool_)[session]
     for cells, blank_here in zip(files, split_by_file(files, blank), strict=True):
         cells.add_issue("session", blank_here, "is empty; write a label, such as the date 2012-03-05")
     return labels, session
@@ -272,11 +273,13 @@ DIRECTIONS = ("+", "-")
 STATUSES = ("ok", "interrupted", "excluded", "")
 
 
-def check_rows(cells: LogCells, machine: Machine, joint: Int64Array, steps: Int64Array) -> pd.DataFrame:
+def check_rows(
+    cells: LogCells, machine: Machine, placed: Collection[int], joint: Int64Array, steps: Int64Array
+) -> pd.DataFrame:
     """Read and check the other columns of the format in one file, in its order.
 
-    The machine's ranges bound every position and are the ends of traverses without from and to. `joint` and
-    `steps`, shape (n,), are 0 where bad.
+    The machine's ranges bound every position and are the ends of traverses without from and to. `placed` are
+    the joints of which it has to be known where they stand; `joint` and `steps`, shape (n,), are 0 where bad.
     """
     direction = cells.choices("direction", DIRECTIONS, "is no direction; write + or -")
     forward = np.array([1, -1, 0])[direction]
@@ -284,7 +287,8 @@ def check_rows(cells: LogCells, machine: Machine, joint: Int64Array, steps: Int6
         {
             "direction": lambda: label_codes(direction, DIRECTIONS),
             **{
-                f"q{other}": partial(_read_position, cells, machine, joint, other) for other in machine.joints
+                f"q{other}": partial(_read_position, cells, machine, joint, other, other in placed)
+                for other in machine.joints
             },
             **{name: partial(cells.numbers, name, needed=True) for name in ORIENTATION},
             "traverse": lambda: read_traverses(cells, machine, joint, forward),
@@ -299,14 +303,14 @@ def check_rows(cells: LogCells, machine: Machine, joint: Int64Array, steps: Int6
     return pd.DataFrame(columns, copy=False)
 
 
-def _read_position(cells: LogCells, machine: Machine, joint: Int64Array, other: int) -> Array:
+def _read_position(cells: LogCells, machine: Machine, joint: Int64Array, other: int, needed: bool) -> Array:
     """Position of another joint; the moving joint's own cell is ignored."""
-    field, others = f"q{other}", (joint > 0) & (joint != other)
+    field, others = f"q{other}", needed & (joint > 0) & (joint != other)
     if not cells.has(field) and not cells.layout.form.by_name[field].required and others.any():
         column = cells.layout.form.by_name[field].spellings[0]
         message = f"is missing; where joint {other} stands is needed where another joint moves"
         cells.issues.add(cells.table.file, message, cells.table.header_line, column)
-    position = cells.numbers(field, needed=joint > 0, ignored=joint == other)
+    position = cells.numbers(field, needed=others, ignored=joint == other)
     report_outside_range(cells, machine, field, other, position)
     return position
 
@@ -376,22 +380,15 @@ def read_log(
     """
     machine = machine or load_machine()
     issues = IssueCollector()
-    sources, form = open_sources(source, issues, sheet), log_format(machine)
-    tables = [source.table for source in sources.files]
-    layouts = [
-        match_columns(table.names, table.file, table.header_line, issues, table.type_faults, form)
-        for table in tables
-    ]
-    files = [LogCells(table, layout, issues) for table, layout in zip(tables, layouts, strict=True)]
-    if not files:
-        issues.raise_if_any()
+    sources = open_sources(source, issues, sheet)
+    files = match_files(sources, log_format(machine), issues)
     identity = kept = read_row_keys(files, machine)
     chosen = np.ones(len(identity.time), np.bool_)
     if since is not None or until is not None:
         issues.raise_if_any()
         chosen = select_sessions(identity, since, until)
         files, kept = _select_rows(files, chosen), identity.select(chosen)
-    columns, notes = _build_columns(files, kept, machine)
+    columns, notes = build_columns(files, kept, machine, machine.joints)
     issues.raise_if_any()
     doubts = [doubt for cells in files for doubt in doubt_units(cells, machine)]
     for doubt in doubts:
@@ -406,8 +403,8 @@ def read_log(
     hashes = tuple((file.table.file, file.sha256) for file in sources.files)
     file_sha256 = hash_sources(sources.files)
     # The cells of a large log take as much memory as its rows, and history needs more.
-    del files, tables, sources
-    rows = _order_columns(columns, kept.order)
+    del files, sources
+    rows = order_columns(columns, kept.order)
     if kept.has_times:
         rows = add_session_history(rows, kept.session[kept.order], machine)
         rows = rows.assign(steps_before=identity.steps_before[chosen[identity.order]])
@@ -416,6 +413,18 @@ def read_log(
     # Pandas copies a shared column when it is first changed.
     as_read = rows.copy(deep=False)
     return Log(rows, hashes, file_sha256, machine, notes, rows_as_read=as_read)
+
+
+def match_files(sources: Sources, form: LogFormat, issues: IssueCollector) -> list[LogCells]:
+    """The cells of each file, its columns matched to the format; InputError if no file could be opened."""
+    if not sources.files:
+        issues.raise_if_any()
+    tables = [source.table for source in sources.files]
+    layouts = [
+        match_columns(table.names, table.file, table.header_line, issues, table.type_faults, form)
+        for table in tables
+    ]
+    return [LogCells(table, layout, issues) for table, layout in zip(tables, layouts, strict=True)]
 
 
 def _select_rows(files: list[LogCells], chosen: BoolArray) -> list[LogCells]:
@@ -427,14 +436,17 @@ def _select_rows(files: list[LogCells], chosen: BoolArray) -> list[LogCells]:
     ]
 
 
-def _build_columns(
-    files: list[LogCells], identity: RowKeys, machine: Machine
+def build_columns(
+    files: list[LogCells], identity: RowKeys, machine: Machine, placed: Collection[int]
 ) -> tuple[dict[str, pd.Series], tuple[str, ...]]:
-    """All columns but history, in the order of the files, and notes about the lab's own columns."""
+    """All columns but history, in the order of the files, and notes about the lab's own columns.
+
+    `placed` as of `check_rows`.
+    """
     joints, steps = split_by_file(files, identity.joint), split_by_file(files, identity.steps)
     read = run_in_threads(
         {
-            "checked": lambda: list(map(check_rows, files, repeat(machine), joints, steps)),
+            "checked": lambda: list(map(check_rows, files, repeat(machine), repeat(placed), joints, steps)),
             "own": lambda: read_covariates(files),
         },
         sum(cells.table.count for cells in files),
@@ -445,7 +457,8 @@ def _build_columns(
     return {**identity.columns(), **dict(checked.items()), **own}, notes
 
 
-def _order_columns(columns: dict[str, pd.Series], order: Int64Array) -> pd.DataFrame:
+def order_columns(columns: dict[str, pd.Series], order: Int64Array) -> pd.DataFrame:
+    """Rows in the given order, the leading columns of a log first."""
     names = _LEADING_COLUMNS + [name for name in columns if name not in _LEADING_COLUMNS]
     rows = pd.DataFrame({name: columns[name] for name in names}, copy=False)
     if len(names) > _MAX_LOOSE_COLUMNS:

@@ -127,9 +127,10 @@ FIELDS = (
 
 @dataclass(frozen=True)
 class LogFormat:
-    """The quantities that a machine's logs may have, and how their columns are spelt."""
+    """The quantities of a machine's logs, or of another `kind` of list, and how their columns are spelt."""
 
     fields: tuple[Field, ...]
+    kind: str = "log"
 
     @cached_property
     def by_name(self) -> dict[str, Field]:
@@ -309,7 +310,7 @@ def match_columns(
     issues.add_lines(file, [(line, f"number {position}", None, _UNNAMED_MESSAGE) for position in unnamed])
     for field in form.fields:
         if field.required and field.name not in known and field.name not in intended:
-            message = f"is missing; every log needs it{_spelling_hint(field, unknown, form)}"
+            message = f"is missing; every {form.kind} needs it{_spelling_hint(field, unknown, form)}"
             issues.add(file, message, line, field.spellings[0])
     notes += _note_lookalikes(file, known, unknown, form)
     return ColumnLayout(known, tuple(unknown), tuple(notes), form)

@@ -1,4 +1,4 @@
-"""Predicts the counts of a plan's traverses, with 95 % intervals, from a fit or a posterior."""
+"""Predicts the counts of planned traverses and of drives, with 95 % intervals, by a fit or a posterior."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from stickslip_fit.estimation.result import convert_predictions
 from stickslip_fit.laws import observed_count
 from stickslip_fit.logs.history import FURTHER_HISTORY
 from stickslip_fit.logs.plan import Plan
+from stickslip_fit.moves.drives import fill_conditions
 from stickslip_fit.simulation.campaign import INITIAL_HISTORY, drive_through, uses_history
 
 TRAVERSE_COLUMNS = ["joint", "direction", "q1", "q2", "q3", "theta", "psi", "start", "stop"]
@@ -23,28 +24,34 @@ NEW_SESSION_LABEL = ""  # no session of a log has this name
 
 def predict(
     fitted: Result | Posterior,
-    plan: Plan,
+    plan: Plan | pd.DataFrame,
     session: str | None = None,
     conditions: Mapping[str, float] | None = None,
 ) -> pd.DataFrame:
-    """Predicted counts of the traverses of a plan.
+    """Predicted counts of the traverses of a plan, or of drives.
 
     Parameters
     ----------
+    fitted : Result or Posterior
+    plan : Plan or DataFrame
+        Or drives of any machine, as `read_drives` returns them: rows of a log without counts, SI.
     session : str, optional
         Whose parameters to use. Without it, a Result takes for each joint and direction the latest session
-        with all parameters; a Posterior predicts a future session, from the campaign's mean and spread.
+        with all parameters; a Posterior predicts a future session, from the campaign's mean and spread. Of
+        drives, the session of those that name none.
     conditions : mapping of str to float, optional
         Other columns on which laws with causes depend, the same for all traverses, by the log's columns, SI:
-        ``temperature``, or ``steps_before`` the first. Time and history are the plan's own.
+        ``temperature``, or ``steps_before`` the first. Time and history are the plan's own. Of drives, for
+        cells that are empty or missing.
 
     Returns
     -------
-    DataFrame, indexed as `Plan.rows`
+    DataFrame, indexed as `Plan.rows` or as the drives
         calibration (the session whose parameters were used, empty for a future one), steps (rounded up to the
-        next check of the end stop), low, high (95 % interval of that count, its own scatter included), and
-        step_size (mean over the traverse) in unit, nm or µrad. low and high are NaN without error bars.
-        What a law has for single sessions alone is unknown of the plan's, see `JointFit.for_session_to_come`.
+        next check of the end stop), low, high (95 % interval of that count, its own scatter included),
+        step_size (mean over the traverse) in unit, nm or µrad, and extrapolated_pct, see `Result.predict`.
+        low and high are NaN without error bars. What a law has for single sessions alone is unknown of a
+        plan's and of drives without a session, see `JointFit.for_session_to_come`.
 
     Raises
     ------
@@ -52,6 +59,8 @@ def predict(
         For a joint, direction or session that was not fitted, one whose parameters are not all identifiable,
         or a traverse in which the joint would stall.
     """
+    if isinstance(plan, pd.DataFrame):
+        return _predict_drives(fitted, plan, session, conditions or {})
     if isinstance(fitted, Result):
         fitted = fitted.for_session_to_come()
     rows = _add_expected_history(fitted, plan, session, conditions or {})
@@ -64,13 +73,41 @@ def predict(
     distinct["session"] = _calibration_sessions(fitted, distinct, session)
     predicted = fitted.si.predict(distinct)
     _check_predictions(_result_of(fitted), distinct, predicted)
-    counts = predicted[["steps", "low", "high", "step_size"]].assign(calibration=distinct["session"])
+    counts = predicted.drop(columns="relative_error").assign(calibration=distinct["session"])
     counts = counts.iloc[index].set_axis(rows.index)
+    return convert_predictions(_as_counts(counts, rows), rows, _result_of(fitted).machine)
+
+
+def _as_counts(counts: pd.DataFrame, rows: pd.DataFrame) -> pd.DataFrame:
+    """Steps and their interval as the log of the rows would have them."""
+    counts = counts.copy()
     for name in ("steps", "low", "high"):
         known = np.isfinite(counts[name].to_numpy(float))
-        recorded = observed_count(np.where(known, counts[name], 1.0), rows["check_every"])
+        recorded = observed_count(np.where(known, counts[name], 1.0), rows.get("check_every", 1))
         counts[name] = np.where(known, recorded, np.nan)
-    return convert_predictions(counts, rows, _result_of(fitted).machine)
+    return counts
+
+
+def _predict_drives(
+    fitted: Result | Posterior, drives: pd.DataFrame, session: str | None, conditions: Mapping[str, float]
+) -> pd.DataFrame:
+    """See `predict`: drives that name their session by the law of that session, the others of one to come."""
+    rows = fill_conditions(drives.reset_index(drop=True), conditions)
+    label = rows["session"].astype(object) if "session" in rows else pd.Series("", rows.index, dtype=object)
+    if session is not None:
+        label = label.where(label.str.strip() != "", _calibration_sessions(fitted, rows, session)[0])
+    named, result, parts = label.str.strip() != "", _result_of(fitted), []
+    coming = fitted.for_session_to_come() if isinstance(fitted, Result) else fitted
+    for law, own in ((fitted, rows[named]), (coming, rows[~named])):
+        if len(own):
+            own = own.assign(session=label[named] if law is fitted else _calibration_sessions(law, own, None))
+            predicted = law.si.predict(own)
+            _check_predictions(result, own, predicted)
+            parts.append(predicted.assign(calibration=own["session"]))
+    if not parts:
+        raise InputError("there is no drive to predict")
+    counts = _as_counts(pd.concat(parts).loc[rows.index], rows)
+    return convert_predictions(counts, rows, result.machine).set_axis(drives.index)
 
 
 def _result_of(fitted: Result | Posterior) -> Result:
@@ -143,7 +180,7 @@ def _check_predictions(result: Result, rows: pd.DataFrame, predicted: pd.DataFra
         if not unknown and not np.isfinite(steps):
             messages.append(
                 f"joint {row.joint} would stall in a planned traverse in direction {row.direction}: the law "
-                "gives a step size of zero or less there; leave it out of the plan"
+                "gives a step size of zero or less there; leave it out"
             )
     if messages:
         raise InputError([InputIssue(message) for message in dict.fromkeys(messages)])

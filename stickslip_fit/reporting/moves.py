@@ -1,4 +1,4 @@
-"""Output for moves and plans: moves and poses as text, predicted counts, printable session sheets."""
+"""Output for moves and plans: moves and poses as text, printable session sheets."""
 
 from __future__ import annotations
 
@@ -10,23 +10,16 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import (
-    MISSING,
-    capitalize_first,
-    format_configuration,
     format_direction,
     format_plain,
     format_significant,
     format_value,
-    join_words,
     pluralize,
     typeset_text,
 )
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Section, Summary, Table, numbers, words
-from stickslip_fit.causes import ExtendedLaw
-from stickslip_fit.errors import shorten
-from stickslip_fit.estimation import Result
-from stickslip_fit.logs.plan import Plan, build_sheet
+from stickslip_fit.logs.plan import Plan
 from stickslip_fit.moves import CalibratedArm, MovePlan, PoseEstimate, steps_before_recalibration
 from stickslip_fit.units import PRISMATIC, Z_95, from_si
 
@@ -114,97 +107,6 @@ def _calibration_heading(arm: CalibratedArm) -> str:
 def _format_error(value: float, unit: str = "µm") -> str:
     """An SI error in a unit, to three digits."""
     return f"{format_significant(from_si(value, unit))} {unit}" if value else f"0 {unit}"
-
-
-ON_SCREEN = slice(0, 14)  # rows of a long table
-NEW_SESSION = "a session to come"
-STEP_SIZES = {"step_size_nm": "nm", "step_size_urad": "µrad"}
-
-
-def summarize_predictions(result: Result, plan: Plan, predicted: pd.DataFrame) -> Summary:
-    """The traverses of a plan with their counts, and why some have no interval.
-
-    Parameters
-    ----------
-    result : Result
-        What `predicted` was worked out from.
-    plan : Plan
-    predicted : DataFrame
-        As `fit.predict.predict` returns it.
-    """
-    rows = plan.rows()
-    cells = tuple(
-        (
-            shorten(str(row["session"]), 20),
-            f"{row['joint']} {format_direction(row['direction'])}",
-            format_configuration(row, result.machine),
-            f"{row['steps']:,.0f}",
-            f"{row['low']:,.0f} to {row['high']:,.0f}" if pd.notna(row["low"]) else MISSING,
-            f"{format_significant(row['step_size'], 4)} {row['unit']}",
-        )
-        for _, row in pd.concat([rows, predicted], axis=1).iterrows()
-    )
-    columns = (*words("session", "joint", "configuration"), *numbers("steps", "95 % of counts", "step size"))
-    table = Table("Predicted counts", columns, cells, stubs=3, short=ON_SCREEN)
-    return Summary(
-        plan.name,
-        (_predictions_heading(plan, predicted),),
-        (Section(tables=(table,)),),
-        flags=(*_without_interval(result, rows, predicted), *_of_single_sessions(result)),
-    )
-
-
-def predictions_csv(plan: Plan, predicted: pd.DataFrame) -> str:
-    """Every traverse in a log's columns, with steps, low, high, step size and whose calibration it is."""
-    sheet = build_sheet(plan).drop(columns=["time", "steps", "step_period_ms", "status", "note"])
-    for name in ("steps", "low", "high"):
-        sheet[name] = predicted[name].astype("Int64").to_numpy()
-    for name, unit in STEP_SIZES.items():
-        shown = zip(predicted["step_size"], predicted["unit"] == unit, strict=True)
-        sheet[name] = [f"{value:.6g}" if own else "" for value, own in shown]
-    sheet["calibration"] = predicted["calibration"].replace("", NEW_SESSION).to_numpy()
-    return sheet.to_csv(index=False, lineterminator="\n")
-
-
-def _predictions_heading(plan: Plan, predicted: pd.DataFrame) -> str:
-    sources = [
-        f"session {shorten(name, 30)}" if name else NEW_SESSION for name in predicted["calibration"].unique()
-    ]
-    number = pluralize(len(predicted), "traverse")
-    return f"{plan.name}: counts of {number}, as a log has them, by the calibration of {', '.join(sources)}."
-
-
-def _without_interval(result: Result, rows: pd.DataFrame, predicted: pd.DataFrame) -> list[str]:
-    """The remarks that say why there are no error bars."""
-    bare = {
-        (int(j), str(direction))
-        for j, direction in rows.loc[predicted["low"].isna(), ["joint", "direction"]].to_numpy()
-    }
-    messages = [
-        capitalize_first(flag.message)
-        for flag in result.flags
-        if (flag.joint, flag.direction) in bare and flag.flag == "few_replicates"
-    ]
-    return list(dict.fromkeys(messages))
-
-
-def _of_single_sessions(result: Result) -> list[str]:
-    """The remark that counts have no part of what the law has for each session."""
-    joints = [
-        f"joint {joint}"
-        for joint, fit in result.joints.items()
-        if isinstance(fit.law, ExtendedLaw)
-        and any(
-            one.session and one.joint in (None, joint) and np.isfinite(one.prior_sd)
-            for one in fit.law.cause_parameters
-        )
-    ]
-    if not joints:
-        return []
-    return [
-        f"The law of {join_words(joints)} has a function of each logged session; a session to come has "
-        "another one, which the counts leave out and the intervals allow for"
-    ]
 
 
 UNIT_OF = {"theta": "deg", "psi": "deg", "q1": "deg", "q2": "deg", "q3": "mm"}

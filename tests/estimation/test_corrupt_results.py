@@ -16,7 +16,8 @@ from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
 from stickslip_fit.moves import DriveCommand, calibrated_arm, dead_reckon, plan_move
 from stickslip_fit.moves.prediction import predict
-from stickslip_fit.reporting.moves import summarize_move, summarize_pose, summarize_predictions
+from stickslip_fit.reporting.moves import summarize_move, summarize_pose
+from stickslip_fit.reporting.predictions import summarize_predictions
 
 SAVED = Path(__file__).parent / "saved"
 LATEST = SAVED / f"result-{VERSION}.json"

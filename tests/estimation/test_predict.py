@@ -15,7 +15,7 @@ from stickslip_fit.laws import Prismatic
 from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
 from stickslip_fit.moves.prediction import predict
-from stickslip_fit.reporting.moves import summarize_predictions
+from stickslip_fit.reporting.predictions import summarize_predictions
 from stickslip_fit.simulation import LawValues, simulate
 
 TRUTH = {"+": np.array([976e-9, 0.30, 438e-9]), "-": np.array([903e-9, 0.27, -405e-9])}
