@@ -49,6 +49,7 @@ if TYPE_CHECKING:
         map_accuracy,
         plan_move,
         predict,
+        read_drives,
     )
     from stickslip_fit.reporting import Report, report
     from stickslip_fit.simulation import LawValues, read_law_values, simulate
@@ -71,7 +72,10 @@ _HOMES = {
     "laws": ("Law",),
     "logs": ("Log", "Plan", "read_log", "read_plan", "write_log"),
     "machine": ("Machine", "load_machine"),
-    "moves": ("DriveCommand", "calibrated_arm", "dead_reckon", "map_accuracy", "plan_move", "predict"),
+    "moves": (
+        *("DriveCommand", "calibrated_arm", "dead_reckon", "map_accuracy", "plan_move", "predict"),
+        "read_drives",
+    ),
     "reporting": ("Report", "report"),
     "simulation": ("LawValues", "read_law_values", "simulate"),
     "strategies": ("Comparison", "compare_strategies"),

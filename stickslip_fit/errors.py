@@ -6,7 +6,7 @@ Rates, counts and seeds that callers give are checked here, in one way everywher
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from numbers import Integral, Real
 
@@ -16,7 +16,8 @@ class InputIssue:
     """What is wrong with an input and what to do about it, in one or two sentences, and where it is.
 
     `line` counts from 1, the header; for Parquet it is the row. `place` is shown instead where the file's own
-    program numbers otherwise, as ``sheet 'Log', cell E7``. `column` may be a command's option.
+    program numbers otherwise, as ``sheet 'Log', cell E7``. `column` may be a command's option. `argument` is
+    one of a function, which is an option of the same name at the shell.
     """
 
     message: str
@@ -25,11 +26,28 @@ class InputIssue:
     column: str | None = None
     value: str | None = None
     place: str | None = None
+    argument: str | None = None
+
+    @property
+    def at_shell(self) -> InputIssue:
+        """The same as a command has it: an argument is an option.
+
+        Examples
+        --------
+        >>> issue = InputIssue("is no date", value="spring", argument="since")
+        >>> print(issue, issue.at_shell, sep="; ")
+        since, value 'spring': is no date; --since, value 'spring': is no date
+        """
+        if self.argument is None:
+            return self
+        return replace(self, column=f"--{self.argument.replace('_', '-')}", argument=None)
 
     def __str__(self) -> str:
         place = self.file or ""
         if self.place is not None or self.line is not None:
             place += f"{', ' if place else ''}{self.place or f'line {self.line}'}"
+        if self.argument is not None:
+            place += f"{', ' if place else ''}{self.argument}"
         if self.column is not None:
             kind = "" if self.column.startswith("--") else "column "
             place += f"{', ' if place else ''}{kind}{shorten(self.column, 100)}"
@@ -53,6 +71,11 @@ class InputError(Exception):
             problems = InputIssue(problems)
         self.problems = (problems,) if isinstance(problems, InputIssue) else tuple(problems)
         super().__init__("\n".join(map(str, self.problems)))
+
+    @property
+    def at_shell(self) -> str:
+        """All issues as a command tells them, see `InputIssue.at_shell`."""
+        return "\n".join(str(issue.at_shell) for issue in self.problems)
 
 
 def shorten(value: str, width: int = 60) -> str:

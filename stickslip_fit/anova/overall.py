@@ -205,7 +205,7 @@ def _choose_model(rows: pd.DataFrame) -> OverallModel | str:
         if model.is_sufficient:
             return model
     if not fits:
-        return "too many sessions at once; use --since"
+        return "too many sessions at once; select fewer by date"
     return (
         "too few traverses, or directions and sessions that each have configurations of their own: repeat "
         "some configurations in both directions and in each session"

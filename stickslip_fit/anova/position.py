@@ -96,7 +96,8 @@ def analyze_positions(
         used = used[used["setting"] == used["setting"].value_counts().index[0]]
         model = PositionModel(used, classed)
     if model.n_columns > MAX_COLUMNS:
-        return None, [_refuse(joint, POSITION, "too many stretches and sessions at once; use --since")]
+        reason = "too many stretches and sessions at once; select fewer by date"
+        return None, [_refuse(joint, POSITION, reason)]
     results = {term: model.test(term) for term in ASKED if set(term) <= set(model.factors)}
     tests = tuple(result for result in results.values() if isinstance(result, TermTest))
     if isinstance(results[(POSITION,)], str) and not tests:

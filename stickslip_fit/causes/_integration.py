@@ -27,6 +27,7 @@ TAIL_COEFFICIENTS = TAIL_COEFFICIENTS * np.polynomial.legendre.legvander(GAUSS_N
 TAIL_COEFFICIENTS *= GAUSS_WEIGHTS[:, None]
 # An n-point rule is wrong by about coefficient 2 n, which is about the square of coefficient n.
 TAIL_TOL = 3e-7
+LAST_TOL = 1e-5  # of the narrowest panels, which a curvature that jumps needs: the count is as accurate
 KINK_TOL = 0.02  # of a panel with a kink, one of many and narrow: the count is off by some 1e-5
 
 
@@ -279,8 +280,8 @@ class AdaptiveCounter:
             self._simple_counters.pop(0)  # Other values are likely to need more, too.
         longest = np.abs(self.row_values["stop"] - self.row_values["start"]).max(initial=0.0)
         doublings = int(np.ceil(np.log2(max(longest / self.law.panel(values), 1.0))))
-        is_last = self.law.has_kinks and self.halvings == self._most_halvings
-        tolerance = KINK_TOL if is_last else TAIL_TOL
+        is_last = self.halvings == self._most_halvings
+        tolerance = (KINK_TOL if self.law.has_kinks else LAST_TOL) if is_last else TAIL_TOL
         return self._try_counter(values, PanelCounter, 2 ** (doublings + self.halvings), tolerance)
 
     def _try_counter(

@@ -56,6 +56,19 @@ class CauseParameter(Parameter):
         scope = f"{self.joint or ''}{self.direction or ''}{self.session or ''}"
         return replace(self, name=f"{cause}.{self.name}{f'[{scope}]' if scope else ''}")
 
+    @property
+    def title(self) -> str:
+        """The full name as people read it.
+
+        Examples
+        --------
+        >>> CauseParameter("c7", "%", "a coefficient", joint=1, session="Monday").of_cause("smooth").title
+        'smooth.c7 (joint 1, Monday)'
+        """
+        joint = "" if self.joint is None else f"joint {self.joint}"
+        scope = [text for text in (joint, format_direction(self.direction), self.session) if text]
+        return f"{self.name.rpartition('[')[0]} ({', '.join(scope)})" if scope else self.name
+
 
 @dataclass(frozen=True)
 class SizedParameter:
@@ -156,6 +169,11 @@ def name_parameters(causes: Sequence[Any]) -> tuple[CauseParameter, ...]:
     """The parameters of causes, one cause after the other, by their full names."""
     named = zip(causes, number_repeated(one.name for one in causes), strict=True)
     return tuple(parameter.of_cause(name) for cause, name in named for parameter in cause.parameters)
+
+
+def parameter_titles(parameters: Iterable[Parameter]) -> dict[str, str]:
+    """How people read each parameter's full name."""
+    return {one.name: one.title if isinstance(one, CauseParameter) else one.name for one in parameters}
 
 
 def sizes_by_name(parameters: Sequence[SizedParameter]) -> dict[str, SizedParameter | SizesApart]:

@@ -73,7 +73,7 @@ def run_with_streams(command: Callable[[], Any]) -> int:
         output.flush()
     except InputError as error:
         status = BAD_INPUT
-        print_error(str(error))
+        print_error(error.at_shell)
     except BrokenPipeError:
         status = READER_GONE
     except OSError as error:

@@ -18,6 +18,7 @@ from stickslip_fit._format import (
     pluralize,
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
+from stickslip_fit.causes.parameters import parameter_titles
 from stickslip_fit.estimation.noise import Flag, NoiseLevel
 from stickslip_fit.estimation.prediction import NO_ORDER, format_latest_control, has_order, latest_control
 from stickslip_fit.estimation.result import ALL_JOINTS, JointFit, Result
@@ -38,6 +39,7 @@ FLAGS = {
     "outlier": "an outlying count",
     "no_times": "the log has no times",
     "chosen": "chosen among the gaps between traverses",
+    "same_log": "causes that were fitted on the same log",
 }
 
 
@@ -176,14 +178,15 @@ def departures_tables(result: Result) -> list[Table]:
     """
     table = result.si.parameters
     table = table[table["joint"] == ALL_JOINTS]
-    meanings = {p.name: p.meaning for fit in result.joints.values() for p in fit.law.parameters}
+    parameters = [one for fit in result.joints.values() for one in fit.law.parameters]
+    meanings, titles = {one.name: one.meaning for one in parameters}, parameter_titles(parameters)
     rows, smooth = [], Counter[str]()
     for row in table.itertuples(index=False):
         if "coefficient" in meanings[row.name]:
             smooth[row.name.partition(".")[0]] += 1
         else:
             estimate = format_uncertain(row.estimate, row.standard_error, row.unit)
-            rows.append((row.name, estimate, meanings[row.name]))
+            rows.append((titles[row.name], estimate, meanings[row.name]))
     rows += [(f"{cause}.*", f"{count:,} numbers", COEFFICIENTS) for cause, count in smooth.items()]
     columns = (Column("parameter", text=True), Column("estimate"), Column("what it is", text=True))
     note = "One number each for all joints, directions and sessions. ± one standard error."

@@ -18,6 +18,7 @@ from stickslip_fit._format import (
     typeset_text,
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize
+from stickslip_fit.causes.parameters import parameter_titles
 from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.units import UNITS, Interval, from_si
 
@@ -76,8 +77,13 @@ def parameters_table(fit: TableFit) -> Table:
         *numbers("estimate", "standard error", "95 % interval"),
         *((Column("unit", text=True),) if has_units else ()),
     )
+    titles = parameter_titles(fit.law.parameters)
     rows = [
-        (row.name, *((row.session or ALL_SESSIONS,) if by_session else ()), *_cells(row)[: 3 + has_units])
+        (
+            titles[row.name],
+            *((row.session or ALL_SESSIONS,) if by_session else ()),
+            *_cells(row)[: 3 + has_units],
+        )
         for row in table.head(MAX_ROWS).itertuples(index=False)
     ]
     notes = [f"The first {MAX_ROWS} of {len(table):,}."] if len(table) > MAX_ROWS else []

@@ -7,6 +7,7 @@ the thesis, and its quadratic in delta = travel / N - gamma0 (Eq. 6.6).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -33,7 +34,7 @@ from stickslip_fit.estimation.noise import (
     quadratic_interval,
     row_variance,
 )
-from stickslip_fit.estimation.result import JointFit, Result, build_provenance
+from stickslip_fit.estimation.result import ALL_JOINTS, JointFit, Result, build_provenance
 from stickslip_fit.estimation.reweighting import flag_outliers
 from stickslip_fit.estimation.travel import driven_stretches
 from stickslip_fit.estimation.with_causes import (
@@ -88,7 +89,18 @@ def fit_closed_form(
     if causes_from is not None:
         known = fixed_causes(causes_from, log.machine)
         chosen = {joint: FixedCauseLaw(law, known.causes, known.values) for joint, law in chosen.items()}
-    return flag_outliers(solve_calibration(log, chosen, "closed-form", known=known, command=command), log)
+    result = flag_outliers(solve_calibration(log, chosen, "closed-form", known=known, command=command), log)
+    if causes_from is not None and causes_from.provenance.log_sha256 == result.provenance.log_sha256:
+        own = Flag("same_log", ALL_JOINTS, "", "", (), SAME_LOG)
+        result = replace(result, flags=(*result.flags, own))
+    return result
+
+
+SAME_LOG = (
+    "the causes were fitted on this very log: its scatter is what they leave of it, not an error to expect "
+    "of other traverses, and the error bars are as small; calibrate another log with them, or take the "
+    "held-out error of the diagnosis"
+)
 
 
 def solve_calibration(

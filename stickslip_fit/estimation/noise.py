@@ -28,7 +28,7 @@ class Flag:
     ----------
     flag : str
         ``not_identified``, ``not_converged``, ``at_bound``, ``few_replicates``, ``repeatability_doubted``,
-        ``outlier``, ``outlier_pattern``, ``no_times`` or ``other_stretches``.
+        ``outlier``, ``outlier_pattern``, ``no_times``, ``same_log`` or ``other_stretches``.
     joint : int
     direction, session : str
         An empty one stands for all of them.

@@ -252,11 +252,9 @@ def flag_causes(fits: Sequence[JointFit], at_bound: Sequence[np.ndarray]) -> lis
     assert isinstance(law, ExtendedLaw)
     causes = [cause for cause in law.causes for _ in cause.parameters]
     for k, cause in enumerate(causes, start=-len(causes)):
-        name, value = (
-            law.cause_parameters[k].name,
-            format_value(fits[0].values[0, k], law.cause_parameters[k].unit, 4),
-        )
-        if law.cause_parameters[k].sudden:
+        parameter = law.cause_parameters[k]
+        name, value = parameter.title, format_value(fits[0].values[0, k], parameter.unit, 4)
+        if parameter.sudden:
             flag = "chosen"
             text = f"{name} = {value} was chosen among the gaps between traverses; it has no error bar"
         elif any(joint_at_bound[:, k].any() for joint_at_bound in at_bound):
@@ -267,7 +265,7 @@ def flag_causes(fits: Sequence[JointFit], at_bound: Sequence[np.ndarray]) -> lis
             text = f"{name} cannot be known from the whole campaign; what would show it: {cause.shows_best}"
         else:
             continue
-        flags.append(Flag(flag, ALL_JOINTS, "", "", (name,), text))
+        flags.append(Flag(flag, ALL_JOINTS, "", "", (parameter.name,), text))
     return flags
 
 
@@ -308,7 +306,7 @@ def fixed_causes(result: Result, machine: Machine | None = None) -> FixedCauses:
     known = np.all([fit.known[:, last].all(axis=0) for fit in fits], axis=0)
     if not known.all():
         unknown = ", ".join(
-            p.name for p, is_known in zip(law.cause_parameters, known, strict=True) if not is_known
+            p.title for p, is_known in zip(law.cause_parameters, known, strict=True) if not is_known
         )
         raise InputError(f"this result does not know {unknown}; fit its log without that cause")
     # They are the same in all groups but those without error bars.

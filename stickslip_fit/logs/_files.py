@@ -314,7 +314,7 @@ def open_sources(
     workbooks = any(isinstance(file.table, SheetTable) for file in files)
     if sheet is not None and len(files) == len(opened) and not workbooks:
         message = "names a sheet, and no file is an Excel workbook; leave it out"
-        raise InputError(InputIssue(message, column="sheet", value=sheet))
+        raise InputError(InputIssue(message, value=sheet, argument="sheet"))
     return Sources(files, tuple(listing.notes))
 
 

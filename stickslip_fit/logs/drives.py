@@ -109,7 +109,7 @@ def _report_unfitted(
             for joint, way, label in keys
         ],
     }
-    named = [f"joint {joint}, direction {way}" for joint, way in fitted]
+    named = [f"joint {joint} in direction {way}" for joint, way in fitted]
     choices = f"; the law knows {join_words(named)}"
     messages = {
         "joint": f"was not fitted{choices}",

@@ -222,17 +222,19 @@ def select_sessions(identity: RowKeys, since: TimeLike | None, until: TimeLike |
     InputError for a bound that is no date or time or has a zone where the log has none, and for no session.
     """
     if not identity.has_times:
+        message = f"{NO_TIMES}: leave this out, and name a file that has only the sessions you mean"
+        given = {"since": since, "until": until}.items()
         raise InputError(
-            f"{NO_TIMES}: leave --since and --until out, and name a file that has only the sessions you mean"
+            [InputIssue(message, value=str(one), argument=name) for name, one in given if one is not None]
         )
     zoned = bool(identity.has_zone.any())
     began = np.full(len(identity.labels), np.iinfo(np.int64).max)
     np.minimum.at(began, identity.session, identity.time)
     inside = np.ones(len(began), np.bool_)
     if since is not None:
-        inside &= began >= _to_nanoseconds("--since", since, zoned)
+        inside &= began >= _to_nanoseconds("since", since, zoned)
     if until is not None:
-        inside &= began < _to_nanoseconds("--until", until, zoned)
+        inside &= began < _to_nanoseconds("until", until, zoned)
     if not inside.any():
         first, last = np.datetime_as_string(np.array([began.min(), began.max()]).view("M8[ns]"), unit="m")
         bounds = (("since", since), ("until", until))
@@ -258,13 +260,13 @@ def _to_nanoseconds(name: str, moment: TimeLike, zoned: bool) -> int:
         when = datetime.fromisoformat(moment) if isinstance(moment, str) else moment
     except ValueError:
         message = "is no date or time; write it like 2012-03-05 or 2012-03-05T09:41"
-        raise InputError(InputIssue(message, column=name, value=str(moment))) from None
+        raise InputError(InputIssue(message, value=str(moment), argument=name)) from None
     if not isinstance(when, datetime):
         when = datetime(when.year, when.month, when.day)
     if when.tzinfo is not None:
         if not zoned:
             message = "has a time zone, but the log's times have none; leave it out"
-            raise InputError(InputIssue(message, column=name, value=str(moment)))
+            raise InputError(InputIssue(message, value=str(moment), argument=name))
         when = when.astimezone(UTC).replace(tzinfo=None)
     return (when - _EPOCH) // timedelta(microseconds=1) * 1000
 

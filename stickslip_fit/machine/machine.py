@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
 JointKind = Literal["rotary", "prismatic"]
 ARM_KINDS: tuple[JointKind, ...] = ("rotary", "rotary", "prismatic")
-PREDICT_DRIVES = "in Python, predict(rows) of a fit gives the steps of any joint's drives"
+PREDICT_DRIVES = (
+    "the steps of its drives come from `stickslip-fit predict LAW DRIVES.csv`, in Python from predict(law, "
+    "read_drives(file, law))"
+)
 _JOINT_TABLES = re.compile(rb"^\s*(?:\[\[\s*joint\s*\]\]|joint\s*=)", re.MULTILINE)
 
 

@@ -9,6 +9,7 @@ from stickslip_fit.moves.dead_reckoning import (
     position_after,
     steps_before_recalibration,
 )
+from stickslip_fit.moves.drives import read_drives
 from stickslip_fit.moves.incremental import DriveReckoning
 from stickslip_fit.moves.path import TipPaths, draw_random_paths, straight_path
 from stickslip_fit.moves.planning import (
@@ -42,6 +43,7 @@ __all__ = [
     "plan_steps",
     "position_after",
     "predict",
+    "read_drives",
     "simulate_open_loop",
     "step_model_from_parameters",
     "steps_before_recalibration",

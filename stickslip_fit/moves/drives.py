@@ -87,7 +87,7 @@ def _check_history(rows: pd.DataFrame, needed: Collection[str], file: str | None
 
 
 def _needed_columns(law: StepLaw, machine: Machine) -> tuple[str, ...]:
-    """Columns of a log on which a law depends: of an arm all of its pose, of another machine what causes use."""
+    """Columns of a log on which a law depends: all of an arm's pose, of others what causes use."""
     if machine.has_published_geometry or not isinstance(law, ExtendedLaw):
         return law.columns
     causes = [cause for cause, _ in law.active_causes]

@@ -37,6 +37,7 @@ from stickslip_fit.plotting.accuracy import overview_picture
 from stickslip_fit.reporting.diagnosis import diagnosis_page, diagnosis_section, first_finding_picture
 from stickslip_fit.reporting.headline import headline_table, is_extended, write_headline
 from stickslip_fit.reporting.sections import (
+    STRATEGIES,
     accuracy_section,
     factors_section,
     figures_section,
@@ -45,6 +46,7 @@ from stickslip_fit.reporting.sections import (
     parameters_section,
     remarks_section,
     strategies_section,
+    uncompared_section,
 )
 from stickslip_fit.reporting.traverses import make_traverses_payload
 from stickslip_fit.strategies import (
@@ -283,11 +285,13 @@ def _make_sections(
     elif isinstance(results.found, InputError):
         reason = str(results.found)
         sections.append(missing_section("What the simulation gets wrong", "diagnosis", reason))
-    if isinstance(results.compared, Comparison):
+    if results.compared is not None and not log.machine.has_published_geometry:
+        sections.append(uncompared_section(log.machine))
+    elif isinstance(results.compared, Comparison):
         sections.append(strategies_section(results.compared, len(log.sessions), results.known_causes))
     elif results.compared is not None:
         reason = str(results.compared)
-        sections.append(missing_section("Which calibration to choose", "strategies", reason))
+        sections.append(missing_section(STRATEGIES, "strategies", reason))
     if figures:
         anova = corrected or results.anova
         given = (log, calibration, fit, anova, errors, coefficients, published, versions)

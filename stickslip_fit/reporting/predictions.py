@@ -23,6 +23,7 @@ from stickslip_fit._summary import Section, Summary, Table, numbers, words
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.errors import shorten
 from stickslip_fit.estimation import Result
+from stickslip_fit.estimation.prediction import has_order
 from stickslip_fit.estimation.travel import Stretches, close_gaps, undriven_pieces
 from stickslip_fit.logs.plan import Plan, build_sheet, format_cells
 from stickslip_fit.logs.schema import position_columns
@@ -71,7 +72,7 @@ def summarize_predictions(
     heading = (
         _plan_heading(planned, predicted)
         if isinstance(planned, Plan)
-        else _drives_heading(name, rows, predicted)
+        else _drives_heading(result, name, rows, predicted)
     )
     return Summary(
         planned.name if isinstance(planned, Plan) else name,
@@ -134,15 +135,18 @@ def _plan_heading(plan: Plan, predicted: pd.DataFrame) -> str:
     return f"{plan.name}: counts of {number}, as a log has them, by the calibration of {', '.join(sources)}."
 
 
-def _drives_heading(name: str, drives: pd.DataFrame, predicted: pd.DataFrame) -> str:
+def _drives_heading(result: Result, name: str, drives: pd.DataFrame, predicted: pd.DataFrame) -> str:
     text = f"{name}: counts of {pluralize(len(drives), 'traverse')}, as a log has them."
     coming = predicted.loc[drives["session"] == "", "calibration"].unique()
     if not len(coming):
         return text
     sources = [f"the calibration of session {shorten(one, 30)}" for one in coming if one]
-    where = "Where none is named" if (drives["session"] != "").any() else "No session is named"
+    where = "Where no session is named" if (drives["session"] != "").any() else "Since no session is named"
     what = join_words(sources) or "what the sessions have in common"
-    return f"{text} {where}: they are of {NEW_SESSION}, by {what}."
+    several = any(fit.groups["session"].nunique() > 1 for fit in result.joints.values())
+    unordered = several and bool(sources) and not has_order(result)
+    doubt = ", the last by name: the log has no times" if unordered else ""
+    return f"{text} {where}, {NEW_SESSION} is predicted, by {what}{doubt}."
 
 
 def _never_driven(row: pd.Series, result: Result) -> str:

@@ -26,6 +26,7 @@ from stickslip_fit.estimation._summary import departures_tables, flags
 from stickslip_fit.estimation.prediction import MIN_EARLIER_SESSIONS, collect_traverses
 from stickslip_fit.estimation.profile import make_comparable
 from stickslip_fit.logs import Log
+from stickslip_fit.machine import Machine
 from stickslip_fit.plotting._svg import Picture
 from stickslip_fit.plotting.accuracy import configurations_picture, errors_picture, load_coefficient_picture
 from stickslip_fit.plotting.anova import factor_pictures, sessions_picture
@@ -199,6 +200,9 @@ def _conclude_factors(anova: Anova) -> str:
     return f"What matters at 5 %, adjusted for everything asked: {'; '.join(parts)}."
 
 
+STRATEGIES = "Which calibration to choose"
+
+
 def strategies_section(
     comparison: Comparison, sessions_in_log: int = 0, causes: Sequence[str] = ()
 ) -> Section:
@@ -216,7 +220,7 @@ def strategies_section(
     words = _take_words(summary)
     figures = (pareto_picture(comparison),) if comparison.joints else ()
     return Section(
-        "Which calibration to choose",
+        STRATEGIES,
         tuple(paragraphs),
         tuple(table for section in summary.sections for table in section.tables),
         figures,
@@ -234,6 +238,15 @@ def _conclude_strategies(comparison: Comparison) -> str:
     best = [(joint, compare_with_best(comparison, joint)[0]) for joint in comparison.joints]
     told = [f"joint {joint} by {name} ({minutes[joint, name]:.0f} min a session)" for joint, name in best]
     return f"Least error: {join_words(told)}."
+
+
+def uncompared_section(machine: Machine) -> Section:
+    """Why calibration strategies are not compared of a machine other than the published arm."""
+    conclusion = (
+        "Not compared: the strategies choose among traverses that calibrate the published arm, and "
+        f"{machine.name} is another machine. All its traverses are in the fit above."
+    )
+    return Section(STRATEGIES, key="strategies", conclusion=conclusion)
 
 
 def missing_section(title: str, key: str, reason: str) -> Section:

@@ -145,7 +145,7 @@ def test_where_moves_are_refused_what_gives_the_steps_of_drives_is_named(make):
     machine, log = make("one slide")
     read = ssf.read_log(log, machine=load_machine(machine))
     fit = ssf.fit(read)
-    with pytest.raises(InputError, match=r"; in Python, predict\(rows\) of a fit gives the steps"):
+    with pytest.raises(InputError, match=r"; the steps of its drives come from `stickslip-fit predict LAW"):
         ssf.plan_move(fit, [0.0], [0.005])
     drive = pd.DataFrame({"session": read.sessions[:1], "joint": 1, "direction": "+", "start": 0.0})
     predicted = fit.predict(drive.assign(stop=5e-3))

@@ -116,7 +116,7 @@ def test_a_sheet_of_a_csv_file_is_refused(sheet, tmp_path):
     path = tmp_path / "day.csv"
     path.write_text(sheet.text(), encoding="utf-8")
     assert refusals(path, sheet="Log") == [
-        "column sheet, value 'Log': names a sheet, and no file is an Excel workbook; leave it out"
+        "sheet, value 'Log': names a sheet, and no file is an Excel workbook; leave it out"
     ]
 
 

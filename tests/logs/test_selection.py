@@ -138,7 +138,9 @@ def test_a_bound_that_cannot_be_used_is_told(campaign, bound):
     with pytest.raises(InputError) as refused:
         read_log(campaign, since=bound)
     (told,) = refused.value.problems
-    assert (told.column, told.value) == ("--since", bound)
+    assert (told.argument, told.value) == ("since", bound)
+    assert "--" not in str(told)
+    assert str(told.at_shell).startswith("--since, value ")
 
 
 def test_bounds_meet_a_log_with_zones_in_utc(tmp_path):
