@@ -115,7 +115,10 @@ def test_without_times_what_needs_order_is_untestable_and_why(make, tmp_path, na
     assert "no session can be compared with those before it" in run("fit", machine, log)
     quick = () if name == "one slide" else ("--no-diagnosis",)
     run("report", machine, log, "-o", str(tmp_path / "page.html"), *quick)
-    assert "NaT" not in (tmp_path / "page.html").read_text(encoding="utf-8")
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "NaT" not in page
+    assert "Not compared: the strategies choose among traverses that calibrate the published arm" in page
+    assert "This log cannot say: a comparison" not in page
 
 
 def test_one_constant_for_a_prismatic_first_joint_is_in_nm(make):

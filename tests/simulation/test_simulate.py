@@ -20,6 +20,14 @@ def test_without_noise_counts_are_the_laws_seen_at_the_next_check(rows_of):
     assert list(rows_of(repeatability=0, check_every=1)["steps"]) == [round(n) for n in wanted] * 3
 
 
+def test_arguments_in_a_wrong_place_are_told_by_their_names(plan_of, law_of, machine):
+    log = simulate(plan_of(), law_of(), machine)
+    with pytest.raises(InputError, match=r"^plan: simulate takes a Plan here, and this is a Log$"):
+        simulate(log, law_of(), machine)
+    with pytest.raises(InputError, match=r"^truth: simulate takes a LawValues here, and this is a Machine$"):
+        simulate(plan_of(), machine, law_of())
+
+
 def test_a_simulated_log_reads_back_the_same(plan_of, law_of, machine, tmp_path):
     sweep = "q2_deg = [-90, 12.3]\npsi_deg = [0, 33.3]\nranges_mm = [[0, 7.7], [7.7, 12]]"
     log = simulate(plan_of(sweep=sweep), law_of(1.8), machine)
