@@ -13,6 +13,7 @@ from stickslip_fit._format import (
     coordinate_unit,
     format_configuration,
     format_direction,
+    format_percent,
     format_position,
     format_significant,
     join_words,
@@ -82,6 +83,7 @@ def summarize_predictions(
             *_beyond_travel(result, rows[beyond]),
             *_without_interval(result, rows, predicted),
             *(_of_single_sessions(result) if to_come else ()),
+            *(() if isinstance(planned, Plan) else _of_other_sessions(result, rows, predicted)),
             *_without_travel(predicted),
         ),
     )
@@ -208,6 +210,32 @@ def _of_single_sessions(result: Result) -> list[str]:
     return [
         f"The law of {join_words(joints)} has a function of each logged session; a session to come has "
         "another one, which the counts leave out and the intervals allow for"
+    ]
+
+
+def _of_other_sessions(result: Result, drives: pd.DataFrame, predicted: pd.DataFrame) -> list[str]:
+    """The remark that by other sessions' calibrations counts would be outside the intervals."""
+    own = (drives["session"] == "").to_numpy() & (predicted["calibration"] != "").to_numpy()
+    coming, rows, expected = result.for_session_to_come(), drives[own], predicted[own]
+    ratios = [1.0]
+    for joint, fit in result.joints.items():
+        for session in fit.groups["session"].unique():
+            asked = rows[rows["joint"] == joint].assign(session=session)
+            group = fit.group_index(asked)
+            asked = asked[(group >= 0) & fit.known.all(axis=1)[group]]
+            if asked.empty:
+                continue
+            steps, interval = coming.si.predict(asked)["steps"], expected.loc[asked.index]
+            outside = (steps < interval["low"]) | (steps > interval["high"])
+            ratios += (steps / interval["steps"])[outside].tolist()
+    if len(ratios) == 1:
+        return []
+    ends = [f"{format_percent(1.0 - min(ratios))} lower"] * (min(ratios) < 1.0)
+    ends += [f"{format_percent(max(ratios) - 1.0)} higher"] * (max(ratios) > 1.0)
+    return [
+        f"Sessions differ: by the calibrations of others, counts would be up to {join_words(ends, 'or')}; "
+        "the interval of a session to come does not allow for that. Log a few of its traverses and fit them "
+        "too"
     ]
 
 

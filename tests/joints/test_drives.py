@@ -18,8 +18,9 @@ FRIDAY = 1.1  # times Monday's steps
 
 
 def step_deg(position, direction):
-    """Step at a position in degrees: a third larger at one end than at the other."""
-    return STEP_DEG[direction] * np.exp(0.3 * np.cos(np.pi * (position - 20.0) / 300.0))
+    """Step at a position in degrees: twice as large in one place as in another."""
+    share = np.pi * (position - 20.0) / 300.0
+    return STEP_DEG[direction] * np.exp(0.3 * np.cos(share) - 0.15 * np.cos(3.0 * share))
 
 
 def true_count(start, stop, direction, session="Monday"):
@@ -114,10 +115,11 @@ def test_a_drive_by_its_ends_is_that_of_the_file(folder, tmp_path, run):
     by_ends = run("predict", law, "--from", "200", "--to", "80", "-o", tmp_path / "ends.csv")
     assert by_file[0] == by_ends[0] == 0, by_ends
     assert (tmp_path / "file.csv").read_text() == (tmp_path / "ends.csv").read_text()
-    assert "by the calibration of session Monday, the last by name: the log has no times" in " ".join(
-        by_ends[1].split()
-    )
+    said = " ".join(by_ends[1].split())
+    assert "by the calibration of session Monday, the last by name: the log has no times" in said
+    assert "by the calibrations of others, counts would be up to 9.1 % lower;" in said  # 1 - 1 / FRIDAY
     monday = run("predict", law, "--from", "200", "--to", "80", "--session", "Monday", "--joint", "1")
+    assert "Sessions differ" not in monday[1]
     shown = int(re.search(r"200° to 80° +([\d,]+)", monday[1])[1].replace(",", ""))
     assert shown == pytest.approx(true_count(200, 80, "-"), rel=0.01)
 
@@ -237,3 +239,19 @@ def test_a_law_that_follows_the_time_asks_for_it_by_column(folder, tmp_path):
     for text, late in ((minutes, 1), (times, 0)):
         counts = ssf.predict(law, ssf.read_drives(drives_file(tmp_path, text), law))["steps"]
         assert counts[late] / counts[1 - late] == pytest.approx(np.exp(-0.08), rel=2e-3)
+
+
+def test_a_column_of_the_lab_s_own_has_to_be_numbers_where_the_law_depends_on_it(folder, tmp_path):
+    rng = np.random.default_rng(3)
+    preload = rng.uniform(1.0, 3.0, 60)
+    log = pd.DataFrame({"session": "A", "joint": 1, "direction": "+", "check_every": 1, "preload_N": preload})
+    log["steps"] = np.round(1e5 / (1.0 + 0.05 * (preload - 2.0))).astype(int)
+    log.to_csv(tmp_path / "log.csv", index=False)
+    read = ssf.read_log(tmp_path / "log.csv", machine=ssf.load_machine(folder / "stage.toml"))
+    law = ssf.fit(read, causes=ssf.causes.covariates(read.usable))
+    head = "session,joint,direction,preload_N\n"
+    file = drives_file(tmp_path, head + "A,1,+,1.0\nA,1,+,3.0\n")
+    counts = ssf.predict(law, ssf.read_drives(file, law))["steps"]
+    assert counts[1] / counts[0] == pytest.approx(0.95 / 1.05, rel=1e-3)
+    with pytest.raises(InputError, match=r"line 3, column preload_N, value 'firm': is no number"):
+        ssf.read_drives(drives_file(tmp_path, head + "A,1,+,1.0\nA,1,+,firm\n"), law)
