@@ -57,16 +57,17 @@ class OneDrive:
     """A drive as typed, in place of a file: degrees, or mm of a prismatic joint."""
 
     joint: Annotated[
-        int | None, typer.Option(min=1, help="Instead of a file, one drive: of this joint, or the only one.")
+        int | None,
+        typer.Option(min=1, help="One drive in place of a file: its joint, if several were fitted."),
     ] = None
     start: Annotated[
-        float | None, typer.Option("--from", help="Where it begins, deg or mm; the end of the range.")
+        float | None, typer.Option("--from", help="Where it begins, deg or mm; at a stop without it.")
     ] = None
     stop: Annotated[
-        float | None, typer.Option("--to", help="Where it ends, deg or mm; the end of the range.")
+        float | None, typer.Option("--to", help="Where it ends, deg or mm; at a stop without it.")
     ] = None
     direction: Annotated[
-        Direction | None, typer.Option(help="Of that drive; not needed beside --from and --to.")
+        Direction | None, typer.Option(help="Of that drive, where one of its ends is not given.")
     ] = None
 
     @property

@@ -138,7 +138,7 @@ def _plan_heading(plan: Plan, predicted: pd.DataFrame) -> str:
 
 
 def _drives_heading(result: Result, name: str, drives: pd.DataFrame, predicted: pd.DataFrame) -> str:
-    text = f"{name}: counts of {pluralize(len(drives), 'traverse')}, as a log has them."
+    text = f"{name}: counts of {pluralize(len(drives), 'traverse')}."
     coming = predicted.loc[drives["session"] == "", "calibration"].unique()
     if not len(coming):
         return text
