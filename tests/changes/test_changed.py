@@ -107,8 +107,9 @@ def test_either_a_second_log_or_a_date_is_needed(larger, tmp_path, arguments):
 
 def test_what_is_no_date_is_told_by_the_option_that_was_given(larger, tmp_path):
     larger[0].to_csv(tmp_path / "march.csv")
-    with pytest.raises(InputError, match=r"^--since, value 'monday': is no date or time"):
+    with pytest.raises(InputError) as refused:
         run(tmp_path / "march.csv", "--since", "monday")
+    assert refused.value.at_shell.startswith("--since, value 'monday': is no date or time")
 
 
 def test_logs_that_share_traverses_are_refused(larger):

@@ -28,7 +28,7 @@ def test_parameters_are_in_the_unit_beside_them_as_in_the_saved_file(whole, tmp_
 def test_predictions_say_their_unit(whole):
     rows = whole.log.usable
     table, si = whole.fit.predict(rows), whole.fit.si.predict(rows)
-    assert list(table) == ["steps", "low", "high", "step_size", "unit", "error_pct"]
+    assert list(table) == ["steps", "low", "high", "step_size", "unit", "error_pct", "extrapolated_pct"]
     assert (table["unit"] == np.where(rows["joint"] == 3, "nm", "µrad")).all()
     assert table["step_size"].to_numpy() == pytest.approx(si["step_size"] * table["unit"].map(TO_UNIT))
     assert table["error_pct"].to_numpy() == pytest.approx(100 * si["relative_error"].to_numpy())
