@@ -98,9 +98,10 @@ def _predict_drives(
         label = label.where(label.str.strip() != "", _calibration_sessions(fitted, rows, session)[0])
     named, result, parts = label.str.strip() != "", _result_of(fitted), []
     coming = fitted.for_session_to_come() if isinstance(fitted, Result) else fitted
-    for law, own in ((fitted, rows[named]), (coming, rows[~named])):
+    for law, is_named in ((fitted, True), (coming, False)):
+        own = rows[named == is_named]
         if len(own):
-            own = own.assign(session=label[named] if law is fitted else _calibration_sessions(law, own, None))
+            own = own.assign(session=label[named] if is_named else _calibration_sessions(law, own, None))
             predicted = law.si.predict(own)
             _check_predictions(result, own, predicted)
             parts.append(predicted.assign(calibration=own["session"]))

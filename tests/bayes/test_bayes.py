@@ -15,6 +15,7 @@ from stickslip_fit.bayes import (
 )
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_least_squares
+from stickslip_fit.moves import predict
 
 JOINT_3 = tuple(
     {"joint": 3, "q2_deg": q2, "theta_deg": theta}
@@ -80,6 +81,18 @@ def test_saved_and_read_again(posterior, log, tmp_path):
     path.write_bytes(b"not netCDF")
     with pytest.raises(InputError, match="no saved posterior"):
         load_posterior(path)
+
+
+def test_drives_of_a_logged_session_and_of_one_to_come(posterior, log):
+    """A session to come is predicted from what all have in common, and less surely."""
+    drives = log.usable.iloc[[0, 0]].assign(check_every=1)
+    drives["session"] = [drives["session"].iloc[0], ""]
+    predicted = predict(posterior, drives.reset_index(drop=True))
+    assert predicted["calibration"].tolist() == drives["session"].tolist()
+    known = posterior.si.predict(drives.iloc[:1])
+    assert predicted["steps"][0] == pytest.approx(known["steps"].item(), abs=0.5)
+    widths = np.log(predicted["high"] / predicted["low"])
+    assert widths[1] > widths[0]
 
 
 def test_priors_are_printed_in_users_units(posterior):
