@@ -7,7 +7,6 @@ the thesis, and its quadratic in delta = travel / N - gamma0 (Eq. 6.6).
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -34,7 +33,7 @@ from stickslip_fit.estimation.noise import (
     quadratic_interval,
     row_variance,
 )
-from stickslip_fit.estimation.result import ALL_JOINTS, JointFit, Result, build_provenance
+from stickslip_fit.estimation.result import JointFit, Result, build_provenance
 from stickslip_fit.estimation.reweighting import flag_outliers
 from stickslip_fit.estimation.travel import driven_stretches
 from stickslip_fit.estimation.with_causes import (
@@ -43,6 +42,7 @@ from stickslip_fit.estimation.with_causes import (
     difference_sensitivity,
     fixed_cause_effect,
     fixed_causes,
+    flag_same_log,
     law_without_causes,
     release_causes,
     solve_with_fixed_causes,
@@ -90,17 +90,7 @@ def fit_closed_form(
         known = fixed_causes(causes_from, log.machine)
         chosen = {joint: FixedCauseLaw(law, known.causes, known.values) for joint, law in chosen.items()}
     result = flag_outliers(solve_calibration(log, chosen, "closed-form", known=known, command=command), log)
-    if causes_from is not None and causes_from.provenance.log_sha256 == result.provenance.log_sha256:
-        own = Flag("same_log", ALL_JOINTS, "", "", (), SAME_LOG)
-        result = replace(result, flags=(*result.flags, own))
-    return result
-
-
-SAME_LOG = (
-    "the causes were fitted on this very log: its scatter is what they leave of it, not an error to expect "
-    "of other traverses, and the error bars are as small; calibrate another log with them, or take the "
-    "held-out error of the diagnosis"
-)
+    return flag_same_log(result, causes_from)
 
 
 def solve_calibration(
@@ -204,10 +194,8 @@ def _calibrate_joint(
     df = np.array([repeatability[direction].df for direction in groups.table["direction"]])
     covariance[df < 1] = np.nan
     interval = quadratic_interval(values, covariance, groups.table, repeatability)
-    driven, known_values = driven_stretches(rows), np.isfinite(values)
-    fit = JointFit(
-        law, groups.table, values, known_values, covariance, interval, repeatability, travel=driven
-    )
+    identified, travel = np.isfinite(values), driven_stretches(rows)
+    fit = JointFit(law, groups.table, values, identified, covariance, interval, repeatability, travel=travel)
     if known is None:
         return fit
     return release_causes(fit, known, difference_sensitivity(fit, known, solve))

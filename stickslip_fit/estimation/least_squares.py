@@ -47,6 +47,7 @@ from stickslip_fit.estimation.with_causes import (
     FixedCauseLaw,
     fixed_causes,
     flag_causes,
+    flag_same_log,
     problems_with_causes,
     published_problem,
     release_causes,
@@ -163,7 +164,7 @@ def fit_least_squares(
         provenance=build_provenance(log, command),
     )
     progress("looking for outlying counts", FITTING_SHARE)
-    return flag_outliers(result, log)
+    return flag_same_log(flag_outliers(result, log), causes_from)
 
 
 def _differentiate_minimum(fit: ConvergedFit, joint: JointFit) -> Array:

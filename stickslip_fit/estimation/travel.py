@@ -38,6 +38,18 @@ def _unite(ends: Array) -> Stretches:
     return tuple(zip(ends[first, 0].tolist(), reach[last].tolist(), strict=True))
 
 
+def unite_travel(one: dict[str, Stretches], other: dict[str, Stretches]) -> dict[str, Stretches]:
+    """The stretches of either, by direction.
+
+    Examples
+    --------
+    >>> unite_travel({"+": ((0.0, 3.0),)}, {"+": ((2.0, 5.0),), "-": ((0.0, 1.0),)})
+    {'+': ((0.0, 5.0),), '-': ((0.0, 1.0),)}
+    """
+    both = {way: (*one.get(way, ()), *other.get(way, ())) for way in sorted({*one, *other})}
+    return {way: _unite(np.array(stretches)) for way, stretches in both.items()}
+
+
 def close_gaps(stretches: Stretches, span: float) -> Stretches:
     """The stretches, those united between which less than `MIN_GAP` of the joint's range `span` is."""
     closed: list[tuple[float, float]] = []

@@ -9,7 +9,7 @@ converge.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -29,6 +29,7 @@ from stickslip_fit.estimation._problem import (
 )
 from stickslip_fit.estimation.noise import Flag, quadratic_interval
 from stickslip_fit.estimation.result import ALL_JOINTS, JointFit, Result
+from stickslip_fit.estimation.travel import Stretches, unite_travel
 from stickslip_fit.laws import Configuration, Rows, State, StepLaw
 from stickslip_fit.laws.base import Counter
 from stickslip_fit.machine import Machine
@@ -269,6 +270,20 @@ def flag_causes(fits: Sequence[JointFit], at_bound: Sequence[np.ndarray]) -> lis
     return flags
 
 
+SAME_LOG = (
+    "the causes were fitted on this very log: its scatter is what they leave of it, not an error to expect "
+    "of other traverses, and the error bars are as small; fit another log with them, or take the held-out "
+    "error of the diagnosis"
+)
+
+
+def flag_same_log(result: Result, causes_from: Result | None) -> Result:
+    """The result with a flag if the causes that it takes as known were fitted to its own log."""
+    if causes_from is None or causes_from.provenance.log_sha256 != result.provenance.log_sha256:
+        return result
+    return replace(result, flags=(*result.flags, Flag("same_log", ALL_JOINTS, "", "", (), SAME_LOG)))
+
+
 CalibrationSolver = Callable[[Array], Array]
 """Steps of each calibration traverse to parameters of the published law, (g, p) -> (g, p)."""
 
@@ -280,12 +295,16 @@ EFFECT_TOL = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class FixedCauses:
-    """Causes as a result has them: values, shape (q,), covariance, (q, q), and interval, (q, 2)."""
+    """Causes as a result has them: values, shape (q,), covariance, (q, q), and interval, (q, 2).
+
+    `travel` is where its log's traverses went, by joint, as of a `JointFit`.
+    """
 
     causes: tuple[Cause, ...]
     values: Array
     covariance: Array
     interval: Array
+    travel: dict[int, dict[str, Stretches]] = field(default_factory=dict)
 
 
 def fixed_causes(result: Result, machine: Machine | None = None) -> FixedCauses:
@@ -313,7 +332,8 @@ def fixed_causes(result: Result, machine: Machine | None = None) -> FixedCauses:
     covariance = np.concatenate([fit.covariance[:, last, last] for fit in fits])
     interval = np.concatenate([fit.interval[:, last] for fit in fits])
     best = int(np.argmax(np.isfinite(covariance).all(axis=(1, 2))))
-    return FixedCauses(law.causes, fits[0].values[0, last], covariance[best], interval[best])
+    travel = {joint: fit.travel for joint, fit in result.joints.items()}
+    return FixedCauses(law.causes, fits[0].values[0, last], covariance[best], interval[best], travel)
 
 
 class FixedCauseLaw(StepLaw):
@@ -471,6 +491,6 @@ def release_causes(fit: JointFit, known: FixedCauses, sensitivity: Array) -> Joi
     interval = quadratic_interval(values, covariance, fit.groups, fit.repeatability)
     interval[:, own:] = known.interval
     is_known = np.concatenate([fit.known, np.ones((groups, q), dtype=bool)], axis=1)
-    return replace(
-        fit, law=law.extended, values=values, covariance=covariance, interval=interval, known=is_known
-    )
+    travel = unite_travel(fit.travel, known.travel.get(law.joint, {}))
+    changes = {"values": values, "covariance": covariance, "interval": interval, "known": is_known}
+    return replace(fit, law=law.extended, travel=travel, **changes)

@@ -170,13 +170,14 @@ def test_a_cause_that_asks_for_what_is_not_known_leaves_it_unknown(campaign, tmp
     assert fit_closed_form(log).joints[3].known[:, 0].all()
 
 
-def test_causes_of_the_very_log_that_is_calibrated_are_said_to_be(campaign, tmp_path, fitted):
+@pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
+def test_causes_of_the_very_log_that_is_calibrated_are_said_to_be(campaign, tmp_path, fitted, estimator):
     """Their scatter is no error to expect; of another log it is."""
     log = hidden(campaign(check_every=1), tmp_path / "log.csv")
-    own = fit_closed_form(log, causes_from=fit_least_squares(log, causes=CAUSES))
+    own = estimator(log, causes_from=fit_least_squares(log, causes=CAUSES))
     assert [flag.flag for flag in own.flags].count("same_log") == 1
     assert "fitted on this very log" in str(own.summary())
-    assert "same_log" not in [flag.flag for flag in fit_closed_form(log, causes_from=fitted).flags]
+    assert "same_log" not in [flag.flag for flag in estimator(log, causes_from=fitted).flags]
 
 
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
