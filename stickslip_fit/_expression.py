@@ -88,7 +88,6 @@ class Expression:
 
     Attributes
     ----------
-    text : str
     whole, offset : str, int
         The formula that it is a part of, and where it begins there, for messages.
     """

@@ -34,7 +34,6 @@ def write_atomically(path: str | Path, content: str | bytes, sources: Iterable[s
 
     Parameters
     ----------
-    path : str or Path
     content : str or bytes
         Text becomes UTF-8; what UTF-8 cannot hold, such as a file name's stray bytes, is escaped.
     sources : iterable of str or Path

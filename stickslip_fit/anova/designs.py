@@ -152,9 +152,6 @@ def design_session_tests(
         Name of the test, and of what differs.
     rows : DataFrame
         Observations of one joint at one configuration, with a column level.
-    direction : str or None
-    configuration : str
-    machine : Machine
     """
     joint = int(rows["joint"].iloc[0])
     n_levels = rows.groupby("session", sort=False)["level"].nunique()
@@ -257,7 +254,6 @@ def describe_design_point(row: pd.Series, machine: Machine, names: list[str]) ->
     ----------
     row : Series
         An observation.
-    machine : Machine
     names : list of str
         Of q1 to qn, theta, psi; the moving joint's own, and what is not known, is left out.
     """
@@ -310,7 +306,6 @@ def design_day_tests(
     ----------
     rows : DataFrame
         Observations of one joint.
-    machine : Machine
     choose : callable
         Picks the configurations.
     """

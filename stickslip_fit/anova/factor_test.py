@@ -200,10 +200,8 @@ class PermutationResult:
 
     Attributes
     ----------
-    p_value : float
     floor : float
         The smallest p-value that so few units can give.
-    arrangements : int
     exact : bool
         Whether these are all arrangements; otherwise they are random, and the observed one is added.
     """

@@ -255,8 +255,6 @@ def model_terms(rows: pd.DataFrame, text: str, *, sums_to_zero: bool) -> tuple[A
 
     Parameters
     ----------
-    rows : DataFrame
-    text : str
     sums_to_zero : bool
         Code factors by contrasts that sum to zero, which type III needs; else by one column for each level,
         of which only what they span matters.

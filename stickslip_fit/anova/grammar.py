@@ -64,7 +64,6 @@ def parse_formula(text: str, columns: Collection[str]) -> Formula:
 
     Parameters
     ----------
-    text : str
     columns : collection of str
         Names that it may use.
 

@@ -109,7 +109,6 @@ def analyze_overall(rows: pd.DataFrame, machine: Machine) -> tuple[OverallAnalys
     ----------
     rows : DataFrame
         See `step_size_observations`.
-    machine : Machine
     """
     joint, y = int(rows["joint"].iloc[0]), np.log(rows["step_size"].to_numpy(float))
     y = y - np.median(y)

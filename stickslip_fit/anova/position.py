@@ -82,7 +82,6 @@ def analyze_positions(
     ----------
     rows : DataFrame
         See `step_size_observations`.
-    machine : Machine
     """
     joint, named = int(rows["joint"].iloc[0]), name_stretches(rows, machine)
     classed = bool(named["classed"].any())

@@ -124,14 +124,11 @@ def run_term_test(
 
     Parameters
     ----------
-    term : tuple of str
     values : array, shape (n,)
     bases : tuple of (array, array), shape (n, p) and (n, q)
         Orthonormal, of the terms beside which it is tested and of what it adds to them.
-    error : ErrorTerm
     codes : array of int, shape (n,), optional
         Of a main effect, the level of each unit, the names of which are `levels`.
-    levels : sequence of str, optional
     epsilon : float, optional
         Box's, by which degrees of freedom are reduced.
     """

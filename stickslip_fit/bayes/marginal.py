@@ -144,7 +144,6 @@ class MarginalLikelihood:
 
     Attributes
     ----------
-    prior : Prior
     response : array, shape (S, m)
         e = y - f(z*) + J z*.
     slopes : array, shape (S, m, p)
@@ -447,7 +446,6 @@ def log_importance_ratio(
 
     Parameters
     ----------
-    traverses, marginal
     z : array, shape (d, S, p)
     values : array, shape (d, S, p or more)
         The law's parameters at z.

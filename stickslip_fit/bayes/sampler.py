@@ -178,13 +178,10 @@ def run_ensembles(
 
     Parameters
     ----------
-    log_density : callable
     proposal : StudentTProposal
         Of moves, and twice as wide of the first points.
-    seed : tuple of int
     backends : list of Backend
         One for each ensemble; chains that they already hold are continued, with the same outcome.
-    target_ess, max_steps : int
     on_step : callable
         Called with the number of new steps.
     """
@@ -265,7 +262,6 @@ class PosteriorSample:
 
     Attributes
     ----------
-    traverses : GroupData
     prior : Prior
         Of the published law's parameters.
     draws : PosteriorDraws
@@ -276,7 +272,6 @@ class PosteriorSample:
         `steps` of each ensemble.
     quality : DataFrame
         Columns parameter, session (empty for the campaign), r_hat, ess_bulk, ess_tail and k_hat.
-    target_ess : int
     causes : CausePriors or None
         Where the law has causes.
     """

@@ -30,7 +30,6 @@ class Microphone:
     ----------
     device : str or int, optional
         A name, a part of one, or a number in the list of `python -m sounddevice`; else the system's default.
-    rate : int, optional
 
     Raises
     ------

@@ -76,8 +76,6 @@ class Homing:
 
     Parameters
     ----------
-    machine : Machine
-    driver : Driver
     by_hand : callable
         From a joint and a position to the operator's reply, once the joint is there.
     count_predictor : CountPredictor, optional
@@ -219,21 +217,16 @@ class Campaign:
 
     Parameters
     ----------
-    plan : Plan
     machine : Machine
         The one that the plan was made for.
     log : str or Path
         Rewritten after every traverse.
-    journal : Journal
     replay : JournalReplay
         Both from `begin_journal` or `resume_journal`.
-    rig : Rig
-    operator : Operator
     predictor : CountPredictor, optional
         Predicts the counts; without it, no reading is doubtful.
     count_predictor : CountPredictor, optional
         By which joints are brought to positions where there is no stop; see `Homing`.
-    drive_limits : DriveLimits, optional
     conditions : dict of str to float, optional
         At the beginning of every session, by the columns of a log, SI; what the operator enters holds until
         the session ends.

@@ -83,7 +83,6 @@ def update_sequential_test(
 
     Parameters
     ----------
-    limits : DetectionLimits
     test : SequentialTest
         Of n traverses.
     band, reference : array, shape (n,)

@@ -122,7 +122,6 @@ def continue_journal(path: str | Path, apply: EventHandler) -> Journal:
 
     Parameters
     ----------
-    path : str or Path
     apply : callable
         Called with each event of the journal, in order.
 
@@ -295,7 +294,6 @@ class DriveRecord:
         Commanded so far.
     status : str
         As in a log; ``interrupted`` until it has ended well.
-    notes : tuple of str
     """
 
     row: Mapping[str, Any]

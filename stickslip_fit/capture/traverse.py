@@ -53,7 +53,6 @@ class DriveTarget:
 
     Attributes
     ----------
-    joint : int
     direction : {'+', '-'}
     check_every : int
         Steps between two checks for the stop.

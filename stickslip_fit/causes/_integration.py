@@ -202,7 +202,6 @@ class AdaptiveCounter:
 
     Parameters
     ----------
-    law : Stepping
     row_values : dict of str to array, shape (n,)
         start, stop and the columns that the law needs.
     halvings : int

@@ -35,7 +35,6 @@ class CauseFormula:
 
     Parameters
     ----------
-    name : str
     formula : str or callable
         ``+ expression``, ``* expression``, ``name = expression`` or ``steps + expression``. In a table the
         names in it are columns, the law's parameters, the response's own name for the law's prediction, and

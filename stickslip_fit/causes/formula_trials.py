@@ -51,7 +51,6 @@ class FormulaTrials(Cause):
 
     Attributes
     ----------
-    source : CauseFormula
     order : tuple of str
         The formula's parameters, amplitudes first.
     levels : tuple
@@ -177,10 +176,8 @@ class TrialSearch(ABC):
 
     Attributes
     ----------
-    cause : CauseFormula
     declared : mapping of str to CauseParameter
         Its parameters, bounds in the units that it computes in.
-    levels : tuple
     """
 
     cause: CauseFormula

@@ -45,7 +45,6 @@ class StageEffect(StateCause):
 
     Parameters
     ----------
-    cause : FactorCause
     ratios : tuple of float
         lambda before the change, in `+` and in `-`.
     quantity : {"friction", "voltage", "ramp time"}

@@ -70,7 +70,6 @@ class PeriodicTime(AddedTerm):
         In the unit of the time.
     harmonics : int
         1 for a sine wave alone.
-    time_unit : str
     """
 
     period: float

@@ -36,7 +36,6 @@ class DirectionalCause(FactorCause):
 
     Attributes
     ----------
-    by_direction : bool
     own_parameters : tuple of CauseParameter
         Those of one direction.
     own_scale : tuple of float

@@ -405,7 +405,6 @@ class CarrierFunction:
     ----------
     expression : str
         One of `EXPRESSIONS`.
-    carrier : str
     middle, unit : float
         SI; 0 and 1 for positions, angles and loads.
     shown : str

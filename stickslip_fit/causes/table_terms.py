@@ -176,7 +176,6 @@ class PeriodicTableTerm(SmoothTableTerm):
     ----------
     period : float
         In the unit of the time.
-    time_unit : str
     """
 
     period: float
@@ -296,8 +295,6 @@ class ColumnFunction:
     ----------
     expression : str
         One of `EXPRESSIONS`.
-    column : str
-    middle, unit : float
     """
 
     expression: str

@@ -54,8 +54,6 @@ class ColumnZero(GenericCause):
 
     Attributes
     ----------
-    column : str
-    column_unit : str
     slope : float
         Rms derivative of the response by the column.
     span : float

@@ -69,7 +69,6 @@ class Difference:
 
     Attributes
     ----------
-    old, new, estimate : float
     standard_error : float
         Scatter from day to day included; that of a day's traverses alone where `df` is 0.
     df : float

@@ -47,7 +47,6 @@ class EstimatorOptions:
 
     Attributes
     ----------
-    method : Method
     heavy_tails, profile : bool
         Of least squares, as are the next three.
     campaign_wide : tuple of str
@@ -56,7 +55,6 @@ class EstimatorOptions:
         NAME=LOW:HIGH.
     repeatability : tuple of str
         PERCENT or JOINT±=PERCENT.
-    seed : int
     chains : Path or None
         Of Bayes.
     causes : tuple of str

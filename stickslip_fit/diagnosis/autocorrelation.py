@@ -226,7 +226,6 @@ class FilterPattern:
         Values before each one in its sequence, at most p.
     indices, indptr : array of int
         Of a compressed sparse row matrix: in each row the value itself, then those before, the nearest first.
-    order : int
     """
 
     depth: IntArray

@@ -147,12 +147,10 @@ class _FutureSession:
 
     Attributes
     ----------
-    law : StepLaw
     values : array, shape (p,)
         Expected parameters.
     conditions : dict
         Conditions, steps of the joint so far, and ``check_every``.
-    machine : Machine
     """
 
     law: Any

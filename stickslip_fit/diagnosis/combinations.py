@@ -75,7 +75,6 @@ class Search[T]:
 
     Attributes
     ----------
-    found : T or None
     behind : float
         Nats that the nearest one lacks where none was found; infinite where none was possible.
     """

@@ -195,8 +195,6 @@ class UntestableCause:
 
     Attributes
     ----------
-    cause : str
-    reason : str
     shows_best : str
         The kind of traverse that shows it.
     traverse : NextTraverse or None
@@ -219,7 +217,6 @@ def suggest_traverses(
 
     Parameters
     ----------
-    diagnosis : Diagnosis
     causes : iterable of Cause, optional
         Without it the library and the lab's own columns.
 

@@ -68,15 +68,12 @@ class SelectedCause:
 
     Attributes
     ----------
-    cause : str
     version : object or None
         As it acts in this log; None for outlying counts, and for unknown structure without a law.
     start : array, shape (q,)
         Start values of its parameters.
-    cause_set : CauseSet
     misfit : Misfit or None
         None for outlying counts, which have no shape.
-    p_value : float
     together_with : tuple of str
         Causes without which it would not have been found.
     ahead_of_pairs : float

@@ -124,7 +124,6 @@ class TravelProfile:
 
     Attributes
     ----------
-    joint : int
     direction, session : str
         Of the traverses that it holds for; empty for all.
     position : array, shape (n,)

@@ -27,7 +27,6 @@ class LaggedColumn:
 
     Attributes
     ----------
-    column : str
     lag : float
         That explains most, s.
     share, without_lag : float

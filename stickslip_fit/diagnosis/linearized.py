@@ -68,8 +68,6 @@ class LinearizedFit:
 
     Attributes
     ----------
-    rows : DataFrame
-    parts : tuple of LawBlock
     scale : array, shape (n,)
         Standard deviation of each response.
     residual : array, shape (n,)
@@ -397,7 +395,6 @@ class ExtendedFit:
     covariance : array, shape (q, q)
     residual : array, shape (n,)
         Response less prediction.
-    converged : bool
     prior_sd : array, shape (q,)
         Standard deviation of each parameter's normal prior about zero; infinite without one.
     at_bound : array of bool, shape (q,)

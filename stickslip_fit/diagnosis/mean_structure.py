@@ -50,7 +50,6 @@ class Mean:
     ----------
     columns : array, shape (n, m)
         Whitened and projected.
-    noise : Autocorrelation
     value : float
         Of both, by the criterion.
     """
@@ -80,7 +79,6 @@ def find_mean_effects(linearized: LinearizedFit, effects: Sequence[Array], mean:
         Of n rows, whose noise counts as independent.
     effects : sequence of array, shape (n, q)
         Whitened and projected; each is fitted as a whole.
-    mean : Mean
     """
     n = len(linearized)
     tried = [one for one in effects if 0 < one.shape[1] <= MAX_SHARE * n]

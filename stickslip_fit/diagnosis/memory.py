@@ -67,7 +67,6 @@ class Calibration:
 
     Attributes
     ----------
-    stacks : tuple of CalibrationParts
     shared : array, shape (n, q)
         Directions that most rows share.
     """
@@ -310,7 +309,6 @@ class LagSums:
 
     Attributes
     ----------
-    sequences : Sequences
     residuals : array, shape (n, k)
     squares, diagonal : array, shape (k,)
         Of the residuals, and of D (see `Sequences`) with their squares.
@@ -388,8 +386,6 @@ class AR1:
 
     Attributes
     ----------
-    cause : str
-    sequences : Sequences
     coefficient : float
         The share.
     term : CarryOverTerm or None

@@ -140,7 +140,6 @@ class NoiseEstimate:
         Of each of these.
     heteroscedasticity : Heteroscedasticity
         Of configurations, beside `unevenness`.
-    unevenness : Unevenness
     skewness : Skewness or None
         Of responses in units of their standard deviation; None where it is not clear.
     """

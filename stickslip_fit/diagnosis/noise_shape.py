@@ -43,7 +43,6 @@ class Skewness:
     ----------
     g : float
         0 for symmetric noise; positive where the long tail is above.
-    location, scale : float
     """
 
     g: float

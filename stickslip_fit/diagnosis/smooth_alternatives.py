@@ -59,7 +59,6 @@ class Carrier:
 
     Attributes
     ----------
-    name : str
     values : array, shape (n, k) or (n, 1)
         NaN where it is unknown.
     low, high : float

@@ -76,8 +76,6 @@ class Fingerprint:
 
     Attributes
     ----------
-    joint : int
-    direction : str
     ratios : array, shape (m,)
         The lambdas, in rising order.
     fits : tuple of mapping of str to ChangeFit
@@ -178,7 +176,6 @@ class _LawFit:
 
     Attributes
     ----------
-    law : Physical
     values : array, shape (n, p)
         Of each traverse's session.
     basis : array, shape (n, p)

@@ -206,7 +206,6 @@ def problem_from_table(
     ----------
     frame, law, response, causes, generic_causes
         As of `diagnose_table`.
-    roles : TableRoles, optional
 
     Returns
     -------

@@ -68,7 +68,6 @@ class TableAlternatives:
     ----------
     columns : tuple of str
         Of numbers, on which the response may depend.
-    roles : TableRoles
     sampled : bool
         Whether the autocorrelation of the noise is removed.
     response, unit : str

@@ -57,7 +57,6 @@ class Grouping:
         Group of each row.
     stratum : array of int, shape (m,)
         Of each group. Noise as assumed differs within a stratum by `steps` of the grid at most.
-    steps : int
     """
 
     labels: IntArray

@@ -121,7 +121,6 @@ class _Component:
 
     Attributes
     ----------
-    structure : Hypothesis or None
     mean, sd : array, shape (m,)
         Of its coefficients.
     log_weight : float

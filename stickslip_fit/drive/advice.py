@@ -24,7 +24,6 @@ def advise_homing(
 
     Parameters
     ----------
-    drive : DriveReckoning
     seconds : float
         Since the drive began.
     joint_velocity : sequence of float

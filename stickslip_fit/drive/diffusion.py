@@ -42,7 +42,6 @@ class StepDiffusion:
     ----------
     q : sequence of float
         Where they are, rad, rad, m.
-    step_size : callable
     slots : int
         Steps of all joints together that a tick has room for.
 

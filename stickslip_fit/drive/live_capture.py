@@ -43,7 +43,6 @@ class ResidualPoint:
 
     Attributes
     ----------
-    joint : int
     direction : {'+', '-'}
     text : str
         Count and step size.
@@ -51,7 +50,6 @@ class ResidualPoint:
         Measured over predicted count - 1; NaN without a prediction.
     low, high : float
         The same with the ends of the prediction's 95 % interval; NaN where it has none.
-    doubtful, kept : bool
     """
 
     joint: int

@@ -279,7 +279,6 @@ def serve_drive_page(
 
     Parameters
     ----------
-    machine : Machine
     title : str
         What is driven, e.g. the law's file.
     max_speed : float

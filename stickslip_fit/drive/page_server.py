@@ -107,8 +107,6 @@ def serve_page[Content: PageContent](
 
     Parameters
     ----------
-    page_files : PageFiles
-    page_content : PageContent
     period : float
         Between two events, s.
     port : int

@@ -29,7 +29,6 @@ class ArmView:
 
     Attributes
     ----------
-    title : str
     axes : (str, str)
         What points right, and what up.
     extent : array, shape (2, 2)
@@ -192,8 +191,6 @@ def draw_arm(state: DriveState, machine: Machine, width: int, height: int) -> li
 
     Parameters
     ----------
-    state : DriveState
-    machine : Machine
     width, height : int
         Of the picture, in characters.
 

@@ -94,8 +94,6 @@ def solve_block_arrow(
     model : callable
         Values of each row's group, shape (n, p), to responses and derivatives; see `StepLaw.model`.
     y, weight : array, shape (n,)
-    groups : Groups
-    sharing : ParameterSharing
     start, scales : array, shape (g, p)
         Shared parameters begin at the mean over their groups.
     lower, upper : array, broadcast to shape (g, p), optional

@@ -222,7 +222,6 @@ class Minimum:
         Directions of parameter space that the data determine.
     at_bound : array of bool, shape (g, p)
         Parameters held back by a bound: the sum of squares would fall beyond it.
-    iterations : int
     """
 
     values: Array
@@ -265,7 +264,6 @@ def minimize(
     model : callable
         Values of each row's group, shape (n, p), to responses and derivatives; see `StepLaw.model`.
     y, weight : array, shape (n,)
-    groups : Groups
     start, scales : array, shape (g, p)
         Where to begin, and a change of each parameter that matters.
     subset : callable, optional

@@ -39,7 +39,6 @@ class FitOptions:
 
     Attributes
     ----------
-    likelihood : Likelihood
     shared : tuple of str
         Parameters that have one value in each direction for the whole campaign.
     bounds : dict of str to (float, float)

@@ -173,7 +173,6 @@ def ratio_changes(law: object, rows: pd.DataFrame, machine: Machine) -> list[tup
         A physical law with `plausible`; nothing is open of another.
     rows : DataFrame
         Traverses of its joint, from which lambda was chosen.
-    machine : Machine
 
     Returns
     -------
@@ -246,10 +245,8 @@ class RatioSearch:
 
     Parameters
     ----------
-    joint : int
     rows : DataFrame
         Usable traverses of the joint.
-    machine : Machine
     """
 
     def __init__(self, joint: int, rows: pd.DataFrame, machine: Machine) -> None:

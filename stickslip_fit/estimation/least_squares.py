@@ -359,7 +359,6 @@ def profile_intervals(log: Log, result: Result) -> pd.DataFrame:
 
     Parameters
     ----------
-    log : Log
     result : Result
         The log's least-squares fit.
 

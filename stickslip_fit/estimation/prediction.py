@@ -35,7 +35,6 @@ def assess_held_out(log: Log, law: Result) -> pd.DataFrame:
 
     Parameters
     ----------
-    log : Log
     law : Result
         A calibration of the same log.
 

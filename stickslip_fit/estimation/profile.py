@@ -88,7 +88,6 @@ class Profile:
 
     Attributes
     ----------
-    direction : str
     position, fitted : array, shape (N_PLACES,)
         The travel that traverses cover, rad or m; what the law's causes make of it, 0 without such causes.
     middle, mean, error : array, shape (K,)
@@ -194,7 +193,6 @@ def make_comparable(log: Log, fit: Result, versions: Sequence[Cause] = ()) -> Co
 
     Parameters
     ----------
-    log : Log
     fit : Result
         Of this log.
     versions : sequence of Cause, optional

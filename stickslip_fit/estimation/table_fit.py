@@ -44,8 +44,6 @@ class TableSource:
         With a response.
     independent : float
         How many independent values tell as much.
-    versions : dict of str to str
-    command : str
     """
 
     file: str

@@ -34,7 +34,6 @@ def minimize_table_law(
 
     Parameters
     ----------
-    law : TableLaw or ExtendedTableLaw
     rows : DataFrame
         With the law's columns; ``session`` names each row's session, one for all without it.
     y, scale : array, shape (n,)

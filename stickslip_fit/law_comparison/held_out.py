@@ -79,10 +79,8 @@ def compare_held_out(
 
     Parameters
     ----------
-    joint : int
     rows : DataFrame
         Usable traverses of the joint.
-    machine : Machine
     profiles : mapping of str to RatioProfile
         By direction, of all traverses: without a configuration, lambda is looked for where it is likely here.
     """

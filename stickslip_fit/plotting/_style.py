@@ -120,7 +120,6 @@ def make_figure(
     ----------
     heights : sequence of float
         Of each row of axes.
-    columns : int
     legend : sequence of Line2D, optional
         Entries along the upper edge.
     left, right, top, bottom : float

@@ -125,7 +125,6 @@ def overview_picture(
         All joints' rows as of `collect_traverses`, indexed by the log's usable traverses.
     errors : DataFrame
         As of `held_out_errors`; may be empty.
-    calibration, fit : Result
     """
     rms = float(np.sqrt(np.nanmean(traverses["departure"].to_numpy() ** 2)))
     caption = (
@@ -224,7 +223,6 @@ def configurations_picture(summary: pd.DataFrame, machine: Machine) -> Picture:
     ----------
     summary : DataFrame
         As `estimation.summarize_errors` returns it for one joint, by direction and configuration.
-    machine : Machine
     """
     joint = int(summary["joint"].iloc[0])
     worst = summary.sort_values("law_rms_relative", ascending=False).head(MAX_CONFIGURATIONS)

@@ -209,8 +209,6 @@ def plot_forest(result: Result, joint: int, campaign: pd.DataFrame | None = None
 
     Parameters
     ----------
-    result : Result
-    joint : int
     campaign : DataFrame, optional
         Means of the campaign: name, joint, direction, estimate, low, high, SI.
 

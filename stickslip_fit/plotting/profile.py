@@ -50,7 +50,6 @@ def profile_pictures(rows: pd.DataFrame, fit: Result) -> list[Picture]:
     ----------
     rows : DataFrame
         See `collect_traverses`, by `fit`.
-    fit : Result
     """
     profiles = compute_profiles(rows, fit)
     if not profiles:

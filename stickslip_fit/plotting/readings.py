@@ -53,7 +53,6 @@ def plot_step_sizes(log: Log, column: str | None) -> Figure:
 
     Parameters
     ----------
-    log : Log
     column : str or None
         A position, angle, condition or further column of the log without its unit, or ``hours`` since the
         session began; of the moving joint's own position the middle of the traverse. None: in order of

@@ -243,13 +243,10 @@ def finding_picture(
 
     Parameters
     ----------
-    finding : Finding
     selected : SelectedCause
         The same in the selection; not of outliers, which have no shape.
     shape : array, shape (n,)
         Its effect on each row, in any unit.
-    comparison : ResidualComparison
-    machine : Machine
     """
     label, figure = draw_finding(finding, selected, shape, comparison, machine)
     over = f"the {label}" if label == EFFECT_LABEL else label

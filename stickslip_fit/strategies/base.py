@@ -293,8 +293,6 @@ class LawFit:
 
     Attributes
     ----------
-    law : StepLaw
-    measured : DataFrame
     repeatability : float
         Standard deviation of log(steps); the counts' rounding comes on top.
     """
@@ -328,7 +326,6 @@ class CalibrationPlan:
 
     Attributes
     ----------
-    fits : sequence of LawFit
     finish : callable
         From an estimate for each fit to the predictor; may raise NotApplicable.
     """

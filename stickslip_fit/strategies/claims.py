@@ -118,7 +118,6 @@ def claims_table(errors: pd.DataFrame, machine: Machine) -> Table:
     ----------
     errors : DataFrame
         joint; measured, and predicted by law and by constant: mean step size, rad or m.
-    machine : Machine
     """
     columns = (
         *words("joint", "model"),

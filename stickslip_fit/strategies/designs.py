@@ -46,7 +46,6 @@ def exchange_rows(jacobian: Array, count: int, loss: Loss, prior: Array) -> IntA
         Of each row's response, over its standard deviation.
     count : int
         At most n.
-    loss : callable
     prior : array, shape (p, p)
         Prior information; positive definite.
     """

@@ -79,7 +79,6 @@ class CampaignFit:
 
     Attributes
     ----------
-    law : StepLaw
     others, measured : DataFrame
         Traverses of the other sessions, and those that were measured in this one.
     """

@@ -80,7 +80,6 @@ class StudyDesign:
 
     Attributes
     ----------
-    cells : tuple of DesignCell
     left_out : DataFrame
         strategy, session, joint, direction, reason.
     handling_seconds : float

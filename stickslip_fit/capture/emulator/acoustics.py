@@ -197,7 +197,6 @@ def synthesize_sound(
 
     Parameters
     ----------
-    acoustics : Acoustics
     began : float
         Beginning of the stretch, s.
     moving : array of bool, shape (n,)

@@ -110,7 +110,6 @@ def begin_motion(truth: HiddenLaws, row: pd.DataFrame, deviation: float, misfire
 
     Parameters
     ----------
-    truth : HiddenLaws
     row : DataFrame
         One row.
     deviation : float
@@ -247,7 +246,6 @@ class Manipulator:
         ----------
         rows : DataFrame
             A log's rows in order of time; where they left the joints is not known.
-        today : datetime
         now : float
             The same moment by the clock of `step`, s.
         """

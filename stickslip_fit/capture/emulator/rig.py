@@ -151,7 +151,6 @@ def emulate_rig(
 
     Parameters
     ----------
-    truth : HiddenLaws
     dialect : {'new', 'old'}
     clock : Clock, optional
         A virtual one by default, so that hours pass in seconds.
