@@ -66,12 +66,10 @@ class UniformCounter(StepCounter):
         return np.full(len(gamma), gamma.shape[1] == 1)
 
     def counts(self, gamma: Array) -> Array:
-        """See `StepCounter.counts`."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(gamma[:, 0] > 0, self.length / gamma[:, 0], np.nan)
 
     def derivatives(self, gamma: Array) -> Array:
-        """See `StepCounter.derivatives`."""
         return (-self.counts(gamma) / gamma[:, 0])[:, None]
 
 
@@ -91,16 +89,13 @@ class SinusoidalCounter(StepCounter):
         self.positions = np.broadcast_to(self.ANGLES, (len(start), 5))
 
     def is_exact(self, gamma: Array) -> BoolArray:
-        """See `StepCounter.is_exact`."""
         residual = gamma - self._harmonics(gamma) @ self.HARMONICS
         return np.all(np.abs(residual) <= SINE_TOL * np.abs(gamma).max(axis=1, keepdims=True), axis=1)
 
     def counts(self, gamma: Array) -> Array:
-        """See `StepCounter.counts`."""
         return harmonic_counts(*self._amplitude_and_phase(gamma), self.start, self.stop)[0]
 
     def derivatives(self, gamma: Array) -> Array:
-        """See `StepCounter.derivatives`."""
         mean, amplitude, phase = self._amplitude_and_phase(gamma)
         _, by_mean, by_amplitude = harmonic_counts(mean, amplitude, phase, self.start, self.stop)
         first, last = self.start - phase, self.stop - phase
@@ -141,11 +136,9 @@ class PanelCounter(StepCounter):
         return ~(tail.max(axis=(1, 2)) > self.tolerance * rate.mean(axis=1))
 
     def counts(self, gamma: Array) -> Array:
-        """See `StepCounter.counts`."""
         return np.einsum("nk,nk->n", self.weights, self._rate(gamma))
 
     def derivatives(self, gamma: Array) -> Array:
-        """See `StepCounter.derivatives`."""
         return -self.weights * self._rate(gamma) ** 2
 
     def _rate(self, gamma: Array) -> Array:

@@ -279,7 +279,6 @@ class ExtendedLaw(StepLaw):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
-        """See `StepLaw`."""
         return (*self.law.parameters, *self.cause_parameters)
 
     @cached_property
@@ -305,7 +304,6 @@ class ExtendedLaw(StepLaw):
 
     @property
     def prismatic(self) -> bool:
-        """See `StepLaw.prismatic`."""
         return self.law.prismatic
 
     @cached_property
@@ -317,7 +315,6 @@ class ExtendedLaw(StepLaw):
         return affects
 
     def gamma(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma`."""
         true = self.true_state(state, values)
         return prod(self._factors(true, values), start=self._before_factors(true, values))
 
@@ -428,7 +425,6 @@ class ExtendedLaw(StepLaw):
 
     @property
     def max_panel(self) -> float:  # type: ignore[override]
-        """See `StepLaw.max_panel`."""
         return min([self.law.max_panel, *(cause.max_panel for cause, _ in self.active_causes)])
 
     def panel(self, values: Array) -> float:
@@ -481,7 +477,6 @@ class ExtendedLaw(StepLaw):
         return [(part, AdaptiveCounter(self, {name: x[part] for name, x in row.items()})) for part in slices]
 
     def step_size(self, rows: Rows, position: Array, values: Array) -> Array:
-        """See `StepLaw.step_size`."""
         return super().step_size(collect_row_values(rows, self.columns), position, values)
 
     def without_stop_effects(self, values: Array) -> Array:
@@ -510,7 +505,6 @@ class ExtendedLaw(StepLaw):
         return _append(self.law.start_values(mean_step), self.null_values)
 
     def scales(self, mean_step: Array) -> Array:
-        """See `StepLaw.scales`."""
         return _append(self.law.scales(mean_step), self.sizes)
 
     def features(self, rows: Rows) -> Array:

@@ -38,15 +38,12 @@ class ColumnCause(FactorCause):
     mean: float = 0.0
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bind`."""
         return replace(self, mean=float(np.nanmean(rows[self.columns[0]].to_numpy(float))))
 
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
-        """See `Cause.missing`."""
         return missing_column(rows, self.columns[0])
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         return 1.0 + values[0] * self.deviation(state)
 
     def deviation(self, state: State) -> Array:
@@ -89,26 +86,21 @@ class Temperature(ColumnCause):
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return TEMPERATURE_PARAMETERS[: 1 + (self.form == "curved")]
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return (0.002, 0.5)[: len(self.parameters)]
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bind`."""
         return replace(super().bind(rows, machine), half=float(np.ptp(rows["temperature"].dropna()) / 2))
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`."""
         straight, curved = (replace(self, form=form) for form in self.forms)
         return [(straight, np.array([[0.002]])), (curved, np.array([[0.002, 0.5], [0.002, -0.5]]))]
 
     @property
     def sentence(self) -> str:  # type: ignore[override]
-        """See `Cause`."""
         plain = "Steps {k:grow|shrink} by {k} with the room's temperature"
         return plain + ", {cold:+} where it is cold and {warm:+} where it is warm" * (self.form == "curved")
 
@@ -120,11 +112,9 @@ class Temperature(ColumnCause):
         return {**sizes, "cold": k.plus(-2.0 * bend), "warm": k.plus(2.0 * bend)}
 
     def largest_plausible(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
         return (np.array([0.02, 0.0])[: len(self.parameters)],)
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         deviation = self.deviation(state)
         bend = values[1] if self.form == "curved" else 0.0
         return 1.0 + values[0] * deviation * (1.0 + bend * deviation / self.half)
@@ -198,11 +188,9 @@ class StepRate(FactorCause):
     largest_sizes = ((0.2,),)
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bind`."""
         return replace(self, median=float(np.nanmedian(rows["step_period"].to_numpy(float))))
 
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
-        """See `Cause.missing`."""
         return missing_column(rows, "step_period")
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
@@ -210,7 +198,6 @@ class StepRate(FactorCause):
         return {"k": sizes["k"].times(log(2))}
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         return 1.0 + values[0] * np.log(fill_empty(state.column("step_period"), self.median) / self.median)
 
 
@@ -249,17 +236,14 @@ class Covariate(FactorCause):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """See `Cause`."""
         return COVARIATE_PREFIX + self.column
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return (self.name,)
 
     @property
     def remedy(self) -> str:  # type: ignore[override]
-        """See `Cause`."""
         return f"keeping {self.column} steady"
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
@@ -267,16 +251,13 @@ class Covariate(FactorCause):
         return {"column": self.column}
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bind`."""
         values = rows[self.name].astype(float)
         return replace(self, mean=float(values.mean()), low=float(values.min()), high=float(values.max()))
 
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
-        """See `Cause.missing`."""
         return missing_column(rows, self.name)
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         column = fill_empty(state.column(self.name), self.mean)
         shape = self._chebyshev(column) - self._chebyshev(np.array(self.mean))
         return 1.0 + np.sum([size * shape[..., k] for k, size in enumerate(values)], axis=0)

@@ -47,12 +47,10 @@ class FormulaStepCause(FormulaTrials):
 
     @property
     def joints(self) -> tuple[int, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return self.source.joints or Cause.joints
 
     @property
     def varies_along_traverse(self) -> bool:  # type: ignore[override]
-        """See `Cause`."""
         return varies_with_position(self.source.names)
 
     def evaluate(self, state: State, values: Sequence[Array], step_size: Array | None = None) -> Array:
@@ -80,7 +78,6 @@ class FormulaTerm(FormulaStepCause, TermCause):
     """Adds a formula to the step size."""
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
-        """See `TermCause.term`."""
         return self.evaluate(state, values, free)
 
 
@@ -89,7 +86,6 @@ class FormulaFactor(FormulaStepCause, FactorCause):
     """Multiplies the step size by a formula."""
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         return self.evaluate(state, values)
 
 
@@ -99,11 +95,9 @@ class FormulaState(FormulaStepCause, StateCause):
 
     @property
     def stage(self) -> int:  # type: ignore[override]
-        """See `StateCause`."""
         return 2 if self.source.target in OF_GEOMETRY else 1
 
     def change(self, state: State, values: list[Array]) -> State:
-        """See `StateCause.change`."""
         target, true = self.source.target, self.evaluate(state, values)
         if target in ("q", f"q{state.joint}"):
             changes = {"position": true}
@@ -120,7 +114,6 @@ class FormulaCount(FormulaStepCause, CountCause):
     """Adds a formula to the count."""
 
     def steps(self, state: State, values: list[Array]) -> Array:
-        """See `CountCause.steps`."""
         return self.evaluate(state, values)[:, :1]
 
 
@@ -231,7 +224,6 @@ class _LogTrialSearch(TrialSearch):
         return rows
 
     def absent(self) -> tuple[Array, float]:
-        """See `TrialSearch`."""
         if self.cause.operation == "=":
             target = [
                 np.broadcast_to(quantity(state, self.cause.target), (len(step), 1))[:, 0]

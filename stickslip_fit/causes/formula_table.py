@@ -33,21 +33,17 @@ class FormulaTableCause(FormulaTrials, TableCause):  # type: ignore[override]
 
     @property
     def stage(self) -> Stage:  # type: ignore[override]
-        """See `TableCause`."""
         return _STAGES[self.source.operation]
 
     def stage_in(self, response: str) -> Stage:
-        """See `TableCause.stage_in`."""
         measures = self.stage == "term" and response in self.source.effect.names
         return "measurement" if measures else self.stage
 
     @property
     def target(self) -> str:  # type: ignore[override]
-        """See `TableCause`."""
         return self.source.target
 
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
-        """See `TableCause.effect`."""
         effect, n = self.source.effect, count_rows(rows)
         outer = [name for name in effect.names if name in variable]
         fixed = [name for name in effect.names if name not in self.order and name not in variable]
@@ -187,7 +183,6 @@ class _TableTrialSearch(TrialSearch):
         return [place for place, size in sizes.items() if size < MAX_EFFECT * scatter] or list(sizes)
 
     def absent(self) -> tuple[Array, float]:
-        """See `TrialSearch`."""
         if self.cause.operation == "=":
             column = number_column(self.frame, self.cause.target)
             return column, float(np.abs(column).max())

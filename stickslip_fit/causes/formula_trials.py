@@ -73,7 +73,6 @@ class FormulaTrials(Cause):
 
     @property
     def search_note(self) -> str:  # type: ignore[override]
-        """See `Cause`."""
         if not self.unresolved:
             return ""
         number = len({place for place, _ in self.sizes})
@@ -90,38 +89,31 @@ class FormulaTrials(Cause):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """See `Cause`."""
         return self.source.name
 
     @property
     def phrase(self) -> str:  # type: ignore[override]
-        """See `Cause`."""
         text = self.source.effect.text.strip()
         return self.source.phrase or _PHRASES[self.source.operation].format(text, self.source.target)
 
     @property
     def physics(self) -> str:  # type: ignore[override]
-        """See `Cause`."""
         return self.source.physics
 
     @property
     def sentence(self) -> str:  # type: ignore[override]
-        """See `Cause`."""
         return self.source.sentence
 
     @property
     def remedy(self) -> str:  # type: ignore[override]
-        """See `Cause`."""
         return self.source.remedy
 
     @property
     def shows_best(self) -> str:  # type: ignore[override]
-        """See `Cause`."""
         return self.source.shows_best
 
     @property
     def combine_trials(self) -> bool:  # type: ignore[override]
-        """See `Cause`."""
         return len(self.sizes) > 0 and (len(self.sizes[0][1]) > 1 or len(self.levels) > 1)
 
     @property

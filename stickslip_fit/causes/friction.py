@@ -62,7 +62,6 @@ class StageEffect(StateCause):
         return StageEffect(cause, self.ratios, self.quantity)
 
     def change(self, state: State, values: list[Array]) -> State:
-        """See `StateCause.change`."""
         factor = self.cause.factor(state, values)
         with np.errstate(invalid="ignore", divide="ignore"):
             unit, share, ratio = (np.asarray(factor**power) for power in POWERS[self.quantity])
@@ -103,7 +102,6 @@ class StageCause(FactorCause):
         )
 
     def for_laws(self, laws: Iterable[StepLaw]) -> Self:
-        """See `Cause.for_laws`."""
         tried = tuple((FRICTION, assumed) for assumed in open_ratios(laws))
         return replace(self, tried=tried) if len(tried) > 1 else self
 
@@ -115,7 +113,6 @@ class StageCause(FactorCause):
         return StageEffect(self, by_joint.get(law.joint, law.ratios), self.quantity)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`."""
         return [one for version in self.versions for one in version.own_trials(rows)]
 
     def own_trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:

@@ -76,21 +76,17 @@ class GenericCause(TableCause):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """See `Cause`."""
         return self.base_name + (BY_DIRECTION if self.direction else "")
 
     @property
     def phrase(self) -> str:  # type: ignore[override]
-        """See `Cause`."""
         return self.base_phrase + (", oppositely in the two directions" if self.direction else "")
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return (self.size,) * len(self.parameters)
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `Cause`."""
         opposite = ", oppositely in the two directions" if self.direction else ""
         return {**super().quantities(sizes), "opposite": opposite}
 
@@ -127,7 +123,6 @@ class AddedTerm(GenericCause):
         return signed
 
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
-        """See `TableCause`."""
         term = self.signed_term(rows)
         return lambda state, values: (*term(values), {})
 
@@ -166,14 +161,12 @@ class SteadyDrift(AddedTerm):
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         per = "row" if self.time_unit == "rows" else self.time_unit
         unit = TableUnit(f"{self.unit or '1'}/{per}")
         return (CauseParameter("k", unit, f"change of the response per {per}"),)
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         return (self.size / self.longest,)
 
     def readable(self, parameters: Sequence[SizedParameter]) -> tuple[SizedParameter, ...]:
@@ -185,7 +178,6 @@ class SteadyDrift(AddedTerm):
         return tuple(one.times(size, unit) for one in parameters)
 
     def term(self, rows: Rows) -> Term:
-        """See `GenericCause`."""
         return linear_term(np.asarray(rows["session_seconds"], float)[:, None])
 
 
@@ -207,7 +199,6 @@ class WarmUp(SteadyDrift):
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         low, high = 0.2 * TIME_CONSTANT_SHARES[0] * self.longest, 3.0 * self.longest
         return (
             CauseParameter("A", TableUnit(self.unit), "change of the response once warm"),
@@ -216,25 +207,20 @@ class WarmUp(SteadyDrift):
 
     @property
     def null_values(self) -> tuple[float, ...]:
-        """See `GenericCause`."""
         return (0.0, self.scale[1])
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         return (self.size, 0.2 * self.longest)
 
     def readable(self, parameters: Sequence[SizedParameter]) -> tuple[SizedParameter, ...]:
-        """See `Cause`."""
         return show_time(parameters, "tau", self.time_unit)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `GenericCause`."""
         tau = TIME_CONSTANT_SHARES * self.longest
         return [(self, np.column_stack([np.full(len(tau), self.size), tau]))]
 
     def term(self, rows: Rows) -> Term:
-        """See `GenericCause`."""
         seconds = np.asarray(rows["session_seconds"], float)
 
         def term(values: Array) -> tuple[Array, Array]:
@@ -264,13 +250,11 @@ class SuddenChange(AddedTerm):
 
     @property
     def sentence(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
         where = "after the first row" if self.session == ONE_SESSION else "into session {session}"
         return "The response {A:rises|falls} by {A}, {moment} " + where + ", and stays so{opposite}"
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         label = None if self.session == ONE_SESSION else self.session
         when = ("moment", TableUnit(self.time_unit), "when, from the first row on")
         moment = CauseParameter(*when, lower=0.0, session=label, sudden=True)
@@ -278,15 +262,12 @@ class SuddenChange(AddedTerm):
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         return (self.size, 1.0)
 
     def readable(self, parameters: Sequence[SizedParameter]) -> tuple[SizedParameter, ...]:
-        """See `Cause`."""
         return show_time(parameters, "moment", self.time_unit)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `GenericCause`."""
         return [
             (replace(self, session=session), np.column_stack([np.full(len(moments), self.size), moments]))
             for session, moments in self._moments(rows)
@@ -309,7 +290,6 @@ class SuddenChange(AddedTerm):
         return trials[:, 0] * (inside * sign)[:, None] * (seconds[:, None] >= trials[:, 1])
 
     def term(self, rows: Rows) -> Term:
-        """See `GenericCause`."""
         inside = np.asarray(rows["session"], dtype=object) == self.session
         seconds = np.asarray(rows["session_seconds"], float)
 
@@ -330,12 +310,10 @@ class CovariateCause(GenericCause):
 
     @property
     def base_name(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
         return COVARIATE_PREFIX + self.column
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         return (self.column,)
 
 
@@ -360,17 +338,14 @@ class ColumnDependence(CovariateCause, AddedTerm):
 
     @property
     def constant_beyond(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `TableCause`."""
         return (self.column,)
 
     @property
     def remedy(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
         return f"keeping {self.column} steady"
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         unit, meaning = TableUnit(self.unit), "over the column's range"
         amplitude = np.inf if self.amplitude is None else self.amplitude
         return tuple(
@@ -398,12 +373,10 @@ class ColumnDependence(CovariateCause, AddedTerm):
         return [(one, np.diag(one._sizes)) for one in versions]
 
     def with_functions(self, sds: tuple[float, ...]) -> Cause | None:
-        """See `Cause.with_functions`."""
         own = {one.name: getattr(self, one.name) for one in fields(ColumnDependence)}
         return SmoothColumnDependence(**own, sds=sds)
 
     def term(self, rows: Rows) -> Term:
-        """See `GenericCause`."""
         x = (2.0 * np.asarray(rows[self.column], float) - self.low - self.high) / (self.high - self.low)
         angle = np.arccos(np.clip(x, -1.0, 1.0))
         return linear_term(np.cos(angle[:, None] * np.arange(1, self.order + 1)))
@@ -423,7 +396,6 @@ class SmoothColumnDependence(ColumnDependence):
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
         meaning = "of a smooth function of the column"
         return tuple(
             CauseParameter(f"c{k}", TableUnit(self.unit), f"coefficient {k} {meaning}", prior_sd=sd)
@@ -435,11 +407,9 @@ class SmoothColumnDependence(ColumnDependence):
         return replace(self, sds=tuple(amplitude * sd for sd in self.sds))
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `GenericCause`."""
         return [(self, np.diag(self.sds))]
 
     def term(self, rows: Rows) -> Term:
-        """See `GenericCause`."""
         return linear_term(cosines(np.asarray(rows[self.column], float), self.low, self.high, len(self.sds)))
 
 
@@ -477,22 +447,18 @@ class DirectionOffset(AddedTerm):
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         return (self.direction,)
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         return (CauseParameter("d", TableUnit(self.unit), "half the difference of the two directions"),)
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `GenericCause`."""
         backward, forward = self.labels or ("below 0", "above 0")
         names = {"column": self.direction, "forward": forward, "backward": backward}
         return {**super().quantities(sizes), **names}
 
     def term(self, rows: Rows) -> Term:
-        """See `GenericCause`."""
         return linear_term(np.ones((len(np.asarray(rows[self.direction])), 1)))
 
 
@@ -519,15 +485,12 @@ class SessionOffset(AddedTerm):
         return tuple(CauseParameter("d", unit, meaning, session=one) for one in self.sessions[1:])
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `GenericCause`."""
         return {}
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `GenericCause`."""
         return [(self, self.size * np.eye(len(self.parameters)))]
 
     def term(self, rows: Rows) -> Term:
-        """See `GenericCause`."""
         session = np.asarray(rows["session"], dtype=object).astype(str)
         return linear_term((session[:, None] == np.array(self.sessions[1:])).astype(float))
 
@@ -548,14 +511,12 @@ class OutlyingValues(AddedTerm):
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         return (
             CauseParameter("share", "%", "of the values", lower=0.0, upper=1.0),
             CauseParameter("size", TableUnit(self.unit), "typical departure of such a value", lower=0.0),
         )
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `GenericCause`."""
         return {"one_in": f"{round(1 / sizes['share'].size.estimate):,}", "size": sizes["size"]}
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:

@@ -31,7 +31,6 @@ class AngleOffset(StateCause):
     stage = 1
 
     def change(self, state: State, values: list[Array]) -> State:
-        """See `StateCause.change`."""
         return state.with_changes(**{self.angle: getattr(state, self.angle) + values[0]})
 
 
@@ -109,18 +108,15 @@ class Q1Gravity(StateCause):
     stage = 2
 
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
-        """See `Cause.missing`."""
         subset = rows[rows["joint"].isin(self.joints)]
         if len(subset) and not subset["q1"].fillna(0.0).any():
             return "every traverse of joints 2 and 3 was made at q1 = 0"
         return super().explain_missing(rows)
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `Cause.quantities`."""
         return {"k": sizes["k"].times(1.0, "%")}
 
     def change(self, state: State, values: list[Array]) -> State:
-        """See `StateCause.change`."""
         return state.with_changes(override_load=(1.0 - values[0]) * state.load + values[0] * state.full_load)
 
 
@@ -146,7 +142,6 @@ class RecoilAxis(StateCause):
     stage = 2
 
     def change(self, state: State, values: list[Array]) -> State:
-        """See `StateCause.change`."""
         return state.with_changes(override_recoil=np.abs(np.cos(state.q2 - values[0])))
 
 
@@ -172,5 +167,4 @@ class RecoilShape(StateCause):
     largest_sizes = ((0.5,), (2.0,))
 
     def change(self, state: State, values: list[Array]) -> State:
-        """See `StateCause.change`."""
         return state.with_changes(override_recoil=state.recoil ** values[0])

@@ -176,7 +176,6 @@ class OfJoints(FactorCause):
         return (*self.scale[: len(self.on)], *self.null_values[len(self.on) :])
 
     def acts_on(self, law: StepLaw) -> bool:
-        """See `Cause.acts_on`."""
         return law.joint in self.on
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
@@ -199,40 +198,32 @@ class OfJoints(FactorCause):
         return np.column_stack([np.tile(values[:n], (len(finer), 1)), finer[:, 1:]])
 
     def combine(self, shares: Array, trials: Array) -> Array:
-        """See `Cause.combine`."""
         n = len(self.on)
         return np.concatenate([shares @ trials[:, :n], trials[0, n:]])
 
     def largest_plausible(self) -> tuple[Array, ...]:
-        """See `Cause.largest_plausible`."""
         return tuple(np.array(self._spread(own.tolist())) for own in self.cause.largest_plausible())
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         return self.cause.factor(state, [values[self.on.index(state.joint)], *values[len(self.on) :]])
 
     def under(self, law: StepLaw) -> Cause:
-        """See `Cause.under`."""
         own: Any = self.cause.under(law)
         return self if own is self.cause else own.with_cause(self)
 
     def describe(self, parameters: Sequence[SizedParameter]) -> str:
-        """See `Cause.describe`."""
         described = self.cause.describe(parameters)
         if len(self.on) > 1:
             return described
         return described.replace("Steps ", f"The steps of joint {self.on[0]} ", 1)
 
     def readable(self, parameters: Sequence[SizedParameter]) -> tuple[SizedParameter, ...]:
-        """See `Cause.readable`."""
         return self.cause.readable(parameters)
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> OfJoints:
-        """See `Cause.bind`."""
         return replace(self, cause=self.cause.bind(rows, machine))
 
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
-        """See `Cause.explain_missing`."""
         return self.cause.explain_missing(rows[rows["joint"].isin(self.on)])
 
 

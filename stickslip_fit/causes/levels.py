@@ -113,16 +113,13 @@ class LevelCause(CovariateCause):
 
     @property
     def texts(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `TableCause`."""
         return (self.column,)
 
     @property
     def remedy(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
         return f"calibrating for each {self.column}"
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `GenericCause`."""
         others = join_words(list(self.levels[1:]), "or")
         own = {"d": sizes["d"]} if "d" in sizes else {}
         return {**own, "column": self.column, "first": self.levels[0], "others": others}
@@ -227,7 +224,6 @@ class LevelDependence(LevelCause, AddedTerm):
 
     @property
     def sentence(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
         if len(self.levels) == 2:
             return (
                 "The response is {d:higher|lower} by {d} where {column} is {others} than where it is {first}"
@@ -249,12 +245,10 @@ class LevelDependence(LevelCause, AddedTerm):
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         return (self.size,) * len(self.named)
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         unit = TableUnit(self.unit)
         names = ["d"] if len(self.levels) == 2 else [f"d[{level}]" for level in self.named]
         return tuple(
@@ -263,7 +257,6 @@ class LevelDependence(LevelCause, AddedTerm):
         )
 
     def term(self, rows: Rows) -> Term:
-        """See `GenericCause`."""
         return linear_term(self.indicators(rows))
 
 
@@ -295,7 +288,6 @@ class ParametersByLevel(LevelCause):
         return tuple(np.repeat(each, len(self.named)).tolist())
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `GenericCause`."""
         changes = [
             f"{name} by {format_measured(one.size, one.unit)}"
             for name, one in sizes.items()

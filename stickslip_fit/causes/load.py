@@ -61,7 +61,6 @@ class SideLoad(FactorCause):
     largest_sizes = ((0.2,),)
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         return 1.0 - values[0] * np.sqrt(np.maximum(1.0 - state.load**2, 0.0))
 
 
@@ -108,7 +107,6 @@ class LoadNonlinearity(TermCause):
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
         sd = PRIOR_SD if len(BEND_SHAPES[self.form]) > 1 else np.inf
         return tuple(
             CauseParameter(
@@ -120,25 +118,20 @@ class LoadNonlinearity(TermCause):
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return (0.02,) * (len(BEND_SHAPES[self.form]) * len(self.groups))
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bind`."""
         present = set(zip(rows["joint"], rows["direction"].astype(str), strict=True))
         return replace(self, groups=tuple(group for group in JOINT_DIRECTIONS if group in present))
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`."""
         versions = [replace(self, form=form) for form in BEND_SHAPES]
         return [(version, np.diag(version.scale)) for version in versions]
 
     def largest_plausible(self) -> tuple[Array, ...]:
-        """See `Cause.largest`."""
         return (np.full(len(self.scale), 0.1),)
 
     def describe(self, parameters: Sequence[SizedParameter]) -> str:
-        """See `Cause.describe`."""
         if not parameters:
             return super().describe(parameters)
         clear = [k for k in parameters if not k.size.low < 0.0 < k.size.high] or parameters
@@ -150,17 +143,14 @@ class LoadNonlinearity(TermCause):
         return f"The response to load bends, {', and '.join(filter(None, parts))} (joint and direction)"
 
     def unload(self, state: State) -> State:
-        """See `TermCause.unload`."""
         if len(BEND_SHAPES[self.form]) == 1:
             return super().unload(state)
         return state.with_changes(override_load=np.zeros((len(state.position), 1)))
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
-        """See `TermCause.term`."""
         return free * self._bend(state, values)
 
     def term_slopes(self, free: Array, state: State, values: list[Array]) -> tuple[Array, list[Array]]:
-        """See `TermCause.term_slopes`."""
         slopes = [np.zeros((1, 1))] * len(values)
         for k, shape in self._shapes(state).items():
             slopes[k] = free * shape
@@ -201,7 +191,6 @@ class LoadHysteresis(FactorCause):
     largest_sizes = ((0.1,),)
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         return 1.0 + values[0] * state.column("before_load")
 
 
@@ -234,23 +223,19 @@ class PayloadChange(StateCause):
 
     @property
     def sentence(self) -> str:  # type: ignore[override]
-        """See `Cause`."""
         when = "{moment} into session {session}: the arm carries another mass"
         return "The effects of load {k:grow|shrink} by {k} " + (when if self.session else "with the payload")
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return ("session", "session_seconds") if self.session else ("payload",)
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return (0.1, 600.0) if self.session else (10.0,)
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
         if self.session == "":
             return (CauseParameter("k", "%/g", "change of the load coefficient per gram"),)
         return (
@@ -259,7 +244,6 @@ class PayloadChange(StateCause):
         )
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`."""
         versions: list[tuple[Cause, Array]] = [
             (replace(self, session=session), np.column_stack([np.full(len(moments), 0.1), moments]))
             for session, moments in candidate_moments(rows)
@@ -277,7 +261,6 @@ class PayloadChange(StateCause):
         return np.column_stack([np.full(len(moments), values[0]), moments])
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bind`."""
         return replace(self, mean=float(rows["payload"].mean()) if rows["payload"].notna().any() else 0.0)
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
@@ -288,7 +271,6 @@ class PayloadChange(StateCause):
         return changes_since(changes, row, values, self.session, trials)
 
     def change(self, state: State, values: list[Array]) -> State:
-        """See `StateCause.change`."""
         if self.session == "":
             payload = fill_empty(state.column("payload"), self.mean)
             return state.with_changes(override_load=state.load * (1.0 + values[0] * payload))
@@ -320,7 +302,6 @@ class InertiaQuadratic(TermCause):
     largest_sizes = ((0.3,),)
 
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
-        """See `Cause.missing`."""
         subset = rows[rows["joint"] == 2]
         if len(subset) and subset["q3"].round(6).nunique() < 3:
             return "joint 2 was driven at fewer than three positions of joint 3"
@@ -331,11 +312,9 @@ class InertiaQuadratic(TermCause):
         return {"half_way": sizes["k"].times(-((GUIDE_END / 2) ** 2), "µrad")}
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
-        """See `TermCause.term`."""
         return values[0] * state.q3 * (state.q3 - GUIDE_END)
 
     def term_slopes(self, free: Array, state: State, values: list[Array]) -> tuple[Array, list[Array]]:
-        """See `TermCause.term_slopes`."""
         return np.zeros_like(free), [state.q3 * (state.q3 - GUIDE_END)]
 
 
@@ -371,16 +350,13 @@ class CableTorque(TermCause):
     varies_along_traverse = True
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bind`."""
         joints = [joint for joint in machine.joints if not machine.is_prismatic(joint)]
         return replace(self, middle=tuple((joint, sum(machine.ranges[joint]) / 2) for joint in joints))
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
-        """See `TermCause.term`."""
         return values[0] * self._deflection(state)
 
     def term_slopes(self, free: Array, state: State, values: list[Array]) -> tuple[Array, list[Array]]:
-        """See `TermCause.term_slopes`."""
         return np.zeros_like(free), [self._deflection(state)]
 
     def _deflection(self, state: State) -> Array:

@@ -38,12 +38,10 @@ class PeriodicPosition(CovariateCause, AddedTerm):
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         unit = TableUnit(self.unit)
         return CauseParameter("s", unit, "of the sine"), CauseParameter("c", unit, "of the cosine")
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `GenericCause`."""
         return {**super().quantities(sizes), "column": self.column, "period": self.period}
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
@@ -55,7 +53,6 @@ class PeriodicPosition(CovariateCause, AddedTerm):
         return [(replace(self, period=float(period)), self.size * np.eye(2)) for period in periods]
 
     def term(self, rows: Rows) -> Term:
-        """See `GenericCause`."""
         waves = harmonics(np.asarray(rows[self.column], float) - self.low, self.period, 1)
         return linear_term(waves[:, ::-1])
 
@@ -90,7 +87,6 @@ class PeriodicTime(AddedTerm):
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         unit = TableUnit(self.unit)
         return tuple(
             CauseParameter(f"{name}{k}", unit, f"of the {wave} of 1/{k} of the period")
@@ -99,7 +95,6 @@ class PeriodicTime(AddedTerm):
         )
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `GenericCause`."""
         return {
             **super().quantities({}),
             "period": format_duration(self.period, self.time_unit, 4),
@@ -121,7 +116,6 @@ class PeriodicTime(AddedTerm):
         return tuple(summary)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `GenericCause`."""
         return [(self, self.size * np.diag(1.0 / np.repeat(np.arange(1, self.harmonics + 1), 2)))]
 
     def functions(self, rows: Rows) -> Array:
@@ -129,5 +123,4 @@ class PeriodicTime(AddedTerm):
         return harmonics(np.asarray(rows["session_seconds"], float), self.period, self.harmonics)
 
     def term(self, rows: Rows) -> Term:
-        """See `GenericCause`."""
         return linear_term(self.functions(rows))

@@ -49,14 +49,12 @@ class DirectionalCause(FactorCause):
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
         if not self.by_direction:
             return self.own_parameters
         return tuple(replace(one, direction=each) for each in "+-" for one in self.own_parameters)
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return self.own_scale * (1 + self.by_direction)
 
     @abstractmethod
@@ -123,7 +121,6 @@ class BearingRunout(DirectionalCause):
         return np.column_stack([amplitude, np.arctan2(sine, cosine)]).ravel()
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         size, phase = self.by_row(state, values)
         return 1.0 + size * np.cos(state.position - phase)
 
@@ -137,7 +134,6 @@ class GuideProfileCause(FactorCause):
     varies_along_traverse = True
 
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
-        """See `Cause.missing`."""
         subset = rows[rows["joint"].isin(self.joints)]
         ends = np.sort(subset[["start", "stop"]].to_numpy(float), axis=1).round(7)
         if len(subset) and len(np.unique(ends, axis=0)) < 2:
@@ -183,11 +179,9 @@ class GuideGradient(GuideProfileCause, DirectionalCause):
     combine_trials = True
 
     def own_trials(self, rows: pd.DataFrame) -> Array:
-        """See `DirectionalCause.own_trials`."""
         return np.array([self.own_scale])
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         return 1.0 + self.by_row(state, values)[0] * (state.position - GUIDE_MIDDLE)
 
 
@@ -232,13 +226,11 @@ class WornSpot(GuideProfileCause):
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
         each = tuple(replace(SPOT_SIZE, direction=one) for one in "+-") if self.place else (SPOT_SIZE,)
         return (*each, *SPOT_PLACE)
 
     @property
     def null_values(self) -> tuple[float, ...]:
-        """See `Cause`."""
         return (0.0, 0.0, *self.place) if self.place else (0.0, 6e-3, 1e-3)
 
     @property
@@ -248,7 +240,6 @@ class WornSpot(GuideProfileCause):
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return (*(0.05,) * (len(self.parameters) - 2), 1e-3, 1e-3)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
@@ -268,15 +259,12 @@ class WornSpot(GuideProfileCause):
         return versions
 
     def combine(self, shares: Array, trials: Array) -> Array:
-        """See `Cause.combine`."""
         return np.append(shares @ trials[:, :2], trials[0, 2:])
 
     def panel(self, values: Array, joint: int) -> float:
-        """See `Cause.panel`."""
         return WIDTHS_IN_PANEL * max(float(values[:, -1].min()), NARROWEST_SPOT)
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         *sizes, middle, width = values
         size = np.where(state.direction_sign > 0, sizes[0], sizes[-1])
         return 1.0 + size * np.exp(-0.5 * ((state.position - middle) / width) ** 2)
@@ -302,7 +290,6 @@ class EndStopLatency(CountCause):
     affects_stop_only = True
 
     def steps(self, state: State, values: list[Array]) -> Array:
-        """See `CountCause.steps`."""
         return values[0]
 
 
@@ -325,14 +312,12 @@ class ReversalLoss(CountCause):
     largest_sizes = ((300.0,),)
 
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
-        """See `Cause.missing`."""
         reversals = is_reversed(rows["before_direction"], rows["direction"])
         if not reversals.any():
             return "no traverse follows one in the other direction"
         return "every traverse follows one in the other direction" if reversals.all() else None
 
     def steps(self, state: State, values: list[Array]) -> Array:
-        """See `CountCause.steps`."""
         direction = np.where(state.direction_sign[:, 0] > 0, "+", "-")
         return values[0] * is_reversed(state.row["before_direction"], direction)[:, None]
 
@@ -368,7 +353,6 @@ class EndStopMisfire(Cause):
         return []
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `Cause.quantities`."""
         one_in = round(1 / sizes["share"].size.estimate)
         return {"one_in": f"{one_in:,}", "size": format_percent(sizes["size"].size.estimate)}
 

@@ -81,7 +81,6 @@ class AlongTravel(LogLinearFactor):
 
     @cached_property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
         amplitude = np.inf if self.amplitude is None else TRIAL_SIZE * self.amplitude
         return tuple(
             CauseParameter(
@@ -98,7 +97,6 @@ class AlongTravel(LogLinearFactor):
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return tuple(TRIAL_SIZE * sd for _ in self.groups for sd in self.sds)
 
     def with_amplitude(self, amplitude: float) -> Self:
@@ -106,7 +104,6 @@ class AlongTravel(LogLinearFactor):
         return replace(self, amplitude=float(amplitude))
 
     def acts_on(self, law: StepLaw) -> bool:
-        """See `Cause.acts_on`."""
         return any(joint == law.joint for joint, _, _ in self.travel)
 
     def panel(self, values: Array, joint: int) -> float:
@@ -119,7 +116,6 @@ class AlongTravel(LogLinearFactor):
         return self if self.amplitude is not None else replace(self, travel=_find_travel(rows))
 
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
-        """See `Cause.missing`."""
         return None if _find_travel(rows) else "every traverse of a joint runs the same range"
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
@@ -151,7 +147,6 @@ class AlongTravel(LogLinearFactor):
 
     @property
     def is_restricted(self) -> bool:
-        """See `Cause.is_restricted`."""
         return len(self.directions) == 1
 
     def largest_plausible(self) -> tuple[Array, ...]:
@@ -159,21 +154,17 @@ class AlongTravel(LogLinearFactor):
         return tuple(LARGEST_SIZE * np.eye(len(self.parameters)))
 
     def functions(self, state: State) -> Array:
-        """See `LinearFactor.functions`."""
         low, high = next((low, high) for joint, low, high in self.travel if joint == state.joint)
         return cosines(state.position, low, high, len(self.sds))
 
     def sum_of(self, functions: Array, coefficients: Array) -> Array:
-        """See `LinearFactor.sum_of`."""
         squares = np.sum(coefficients**2, axis=1)[:, None]
         return super().sum_of(functions, coefficients) - squares / 4.0
 
     def slopes_of(self, functions: Array, coefficients: Array) -> Array:
-        """See `LinearFactor.slopes_of`."""
         return functions - coefficients[:, None, :] / 2.0
 
     def acts(self, state: State) -> Array:
-        """See `LinearFactor.acts`."""
         return self._acts_on(state.joint, state.direction_sign)
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:

@@ -103,18 +103,15 @@ class SmoothTerm(LogLinearFactor):
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `Cause`."""
         own = [name for carrier in self.carriers for name in carrier_columns(carrier)]
         return tuple(dict.fromkeys([*own, *(("session",) if self.sessions else ())]))
 
     @property
     def varies_along_traverse(self) -> bool:  # type: ignore[override]
-        """See `Cause`."""
         return any(carrier in (POSITION, LOAD) for carrier in self.carriers)
 
     @cached_property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return tuple(
             CauseParameter(
                 f"c{number}",
@@ -150,11 +147,9 @@ class SmoothTerm(LogLinearFactor):
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return (SMOOTH_SCALE,) * len(self.parameters)
 
     def acts_on(self, law: StepLaw) -> bool:
-        """See `Cause.acts_on`."""
         return not self.on or any(joint == law.joint for joint, _ in self.on)
 
     def with_amplitude(self, amplitude: float) -> Self:
@@ -162,11 +157,9 @@ class SmoothTerm(LogLinearFactor):
         return replace(self, sds=tuple(amplitude * sd for sd in self.sds))
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`."""
         return [(self, np.diag([parameter.prior_sd for parameter in self.parameters]))]
 
     def functions(self, state: State) -> Array:
-        """See `LinearFactor.functions`."""
         values = np.broadcast_arrays(*(carrier_values(state, carrier) for carrier in self.carriers))
         waves = self.waves(values, self.limits_of(state.joint))
         return np.nan_to_num(wave_products(waves, self.orders))
@@ -268,7 +261,6 @@ class TravelTerm(JointTerm):
     phrase = "steps follow the position along each joint's travel smoothly as no cause describes"
 
     def limits_of(self, joint: int) -> tuple[tuple[float, float], ...]:
-        """See `SmoothTerm.limits_of`."""
         return tuple((low, high) for number, low, high in self.travel if number == joint) or self.limits
 
 
@@ -316,16 +308,13 @@ class NestedTerm(TravelTerm):
 
     @property
     def for_all(self) -> SmoothTerm:
-        """See `SmoothTerm.for_all`."""
         return TravelTerm(self.carriers, self.limits, self.orders, self.sds, travel=self.travel)
 
     def with_amplitude(self, amplitude: float) -> Self:
-        """See `SmoothTerm.with_amplitude`."""
         parts = [(own, mode, tuple(amplitude * sd for sd in sds)) for own, mode, sds in self.parts]
         return self.of_parts(self, parts)
 
     def acts(self, state: State) -> Array:
-        """See `LinearFactor.acts`."""
         acts, columns = self._of_groups(state), []
         for own, mode, _ in self.parts:
             signed = acts * _sign(state, mode)
@@ -511,7 +500,6 @@ class ProposedTerm(LinearFactor):
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return (SMOOTH_SCALE / self.largest,) * len(self.parameters)
 
     @property
@@ -521,12 +509,10 @@ class ProposedTerm(LinearFactor):
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return tuple(dict.fromkeys(name for carrier in self.carriers for name in carrier_columns(carrier)))
 
     @property
     def varies_along_traverse(self) -> bool:  # type: ignore[override]
-        """See `Cause`."""
         return any(carrier in (POSITION, LOAD) for carrier in self.carriers)
 
     @property
@@ -536,11 +522,9 @@ class ProposedTerm(LinearFactor):
         return text + describe_where(self.on, self.mode) + ", k by direction" * self.each
 
     def acts_on(self, law: StepLaw) -> bool:
-        """See `Cause.acts_on`."""
         return not self.on or any(joint == law.joint for joint, _ in self.on)
 
     def functions(self, state: State) -> Array:
-        """See `LinearFactor.functions`."""
         function = np.prod(
             np.broadcast_arrays(
                 *(
@@ -556,7 +540,6 @@ class ProposedTerm(LinearFactor):
         return np.asarray(function[..., None])
 
     def acts(self, state: State) -> Array:
-        """See `LinearFactor.acts`."""
         forward = 1.0 * (state.direction_sign > 0)
         return np.concatenate([forward, 1.0 - forward], axis=1) if self.each else super().acts(state)
 

@@ -118,11 +118,9 @@ class LinearFactor(FactorCause):
         return np.ones((len(state.position), 1))
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         return self.factor_of(state, np.concatenate(values, axis=1))
 
     def factor_of(self, state: State, values: Array) -> Array:
-        """See `FactorCause.factor_of`."""
         return self.of_sum(self.linear_sum(state, values))[0]
 
     def of_sum(self, total: Array) -> tuple[Array, Array | float]:
@@ -143,7 +141,6 @@ class LinearFactor(FactorCause):
         return functions
 
     def factor_slopes(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor_slopes`."""
         return self.spread(state, self.local_slopes(state, np.concatenate(values, axis=1)))
 
     def local_slopes(self, state: State, values: Array) -> Array:
@@ -196,6 +193,5 @@ class LogLinearFactor(LinearFactor):
     """
 
     def of_sum(self, total: Array) -> tuple[Array, Array]:
-        """See `LinearFactor.of_sum`."""
         factor = np.exp(np.minimum(total, MAX_LOG))
         return factor, factor

@@ -71,7 +71,6 @@ class TableCause(Cause):
         """
 
     def extend(self, law: TableLaw | ExtendedTableLaw) -> ExtendedTableLaw:  # type: ignore[override]
-        """See `Cause.extend`."""
         if isinstance(law, ExtendedTableLaw):
             return ExtendedTableLaw(law.law, (*law.causes, self))
         return ExtendedTableLaw(law, (self,))

@@ -70,24 +70,20 @@ class SmoothTableTerm(GenericCause):
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `Cause`."""
         own = [name for name in self.carriers if name != PREDICTION]
         own += [self.direction] if self.direction else []
         return (*own, "session") if self.sessions else tuple(own)
 
     @property
     def texts(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `TableCause`."""
         return (self.direction,) if self.labels else ()
 
     @property
     def constant_beyond(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `TableCause`."""
         return tuple(name for name in self.carriers if name != PREDICTION)
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
         meaning = f"of {self.shape} of {' and '.join(self.carriers)}"
         unit = TableUnit(self.unit)
         return tuple(
@@ -103,7 +99,6 @@ class SmoothTableTerm(GenericCause):
         return replace(self, sds=tuple(amplitude * sd for sd in self.sds))
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause`."""
         return [(self, np.diag([parameter.prior_sd for parameter in self.parameters]))]
 
     def stage_in(self, response: str) -> Stage:
@@ -139,7 +134,6 @@ class SmoothTableTerm(GenericCause):
         return wave_products(waves, self.orders)
 
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
-        """See `TableCause`."""
         sign = self.sign(rows)
         if not self.needs_prediction:
             term = linear_term(sign[:, None] * self.functions(rows))
@@ -247,12 +241,10 @@ class SettingsTerm(SmoothTableTerm):
 
     @property
     def texts(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `TableCause`."""
         return self.carriers
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
         unit, where = TableUnit(self.unit), f"offset where {', '.join(self.carriers)} are"
         return tuple(
             CauseParameter(f"c{number}", unit, f"{where} {level}", prior_sd=sd)
@@ -350,12 +342,10 @@ class ProposedTableTerm(AddedTerm):
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return tuple(dict.fromkeys(self.carriers))
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return (CauseParameter("k", TableUnit(self.unit), f"size of the proposed term {self.formula}"),)
 
     @property
@@ -365,7 +355,6 @@ class ProposedTableTerm(AddedTerm):
         return text + (", opposite sign in the two directions" if self.direction else "")
 
     def term(self, rows: Rows) -> Term:
-        """See `GenericCause`."""
         columns = [
             ColumnFunction(*factor).values(np.asarray(rows[factor[1]], float)) for factor in self.factors
         ]

@@ -60,7 +60,6 @@ class ThermalWarmUp(FactorCause):
     largest_sizes = tuple((0.1, tau) for tau in TIME_CONSTANTS)
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         size, tau = values
         return 1.0 - size * np.expm1(-state.column("session_seconds") / tau)
 
@@ -88,7 +87,6 @@ class Drift(FactorCause):
     largest_sizes = ((0.1 / SECONDS_PER_HOUR,),)
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         return 1.0 + values[0] * state.column("session_seconds")
 
 
@@ -122,13 +120,11 @@ class SessionJump(StageCause):
 
     @property
     def sentence(self) -> str:  # type: ignore[override]
-        """See `Cause`."""
         subject = "Steps {A:grow|shrink}" if self.form == STEP else f"The {self.form} {{A:grows|falls}}"
         return subject + " by {A} {moment} into session {session}, and stay so"
 
     @cached_property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
         what = "step size" if self.form == STEP else self.form
         return (
             CauseParameter("A", "%", f"change of the {what}", session=self.session),
@@ -137,11 +133,9 @@ class SessionJump(StageCause):
 
     @property
     def quantity(self) -> str:
-        """See `StageCause`."""
         return self.form
 
     def with_quantity(self, quantity: str) -> Self:
-        """See `StageCause`."""
         return replace(self, form=quantity)
 
     def for_laws(self, laws: Iterable[StepLaw]) -> Self:
@@ -151,7 +145,6 @@ class SessionJump(StageCause):
         return replace(self, tried=tried)
 
     def own_trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `StageCause.own_trials`."""
         return [
             (replace(self, session=session), np.column_stack([np.full(len(moments), 0.01), moments]))
             for session, moments in candidate_moments(rows)
@@ -164,12 +157,10 @@ class SessionJump(StageCause):
         return np.column_stack([np.full(len(moments), values[0]), moments])
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
-        """See `Cause.changes`."""
         changes, row = partial(super().changes, law), self.row_values(law, rows)
         return changes_since(changes, row, values, self.session, trials)
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         size, moment = values
         return 1.0 + size * is_since(state, self.session, moment)
 
@@ -212,6 +203,5 @@ class Wear(StageCause):
         return {"k": sizes["k"].times(log(10)), "begin": f"{begin:,}"}
 
     def factor(self, state: State, values: list[Array]) -> Array:
-        """See `FactorCause.factor`."""
         size, scale = values
         return 1.0 + size * np.log1p(state.column("steps_before") / scale)

@@ -40,11 +40,9 @@ class ResponseZero(AddedTerm):
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         return (CauseParameter("d", TableUnit(self.unit), "offset of the response"),)
 
     def term(self, rows: Rows) -> Term:
-        """See `GenericCause`."""
         return linear_term(np.ones((count_rows(rows), 1)))
 
 
@@ -74,46 +72,37 @@ class ColumnZero(GenericCause):
 
     @property
     def base_name(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
         return f"zero-of:{self.column}"
 
     @property
     def base_phrase(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
         return f"the zero of {self.column} is off"
 
     @property
     def remedy(self) -> str:  # type: ignore[override]
-        """See `GenericCause`."""
         return f"measuring the zero of {self.column}"
 
     @property
     def target(self) -> str:  # type: ignore[override]
-        """See `TableCause`."""
         return self.column
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         return (self.column,)
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         return (self.size / self.slope,)
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `GenericCause`."""
         meaning = f"to be added to {self.column}"
         return (CauseParameter("d", TableUnit(self.column_unit), meaning, -self.span, self.span),)
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `GenericCause`."""
         return {**super().quantities(sizes), "column": self.column}
 
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
-        """See `TableCause`."""
         ones = np.ones(count_rows(rows))
 
         def effect(state: Mapping[str, Array], values: Array) -> tuple[Array, Array, Mapping[str, Array]]:

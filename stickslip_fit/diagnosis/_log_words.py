@@ -78,7 +78,6 @@ class LogWords(Words):
     """What is said of a log."""
 
     def tell_no_finding(self) -> list[str]:
-        """See `Words`."""
         diagnosis = self.diagnosis
         text = (
             f"Nothing is wrong that this log can show: the {baseline_name(diagnosis)} leaves "

@@ -105,21 +105,17 @@ class TableWords(Words):
         return f"the response follows the column {cause.removeprefix(COVARIATE_PREFIX)} ({cause})"
 
     def tell_no_finding(self) -> list[str]:
-        """See `Words`."""
         return [self._describe_no_misfit(), *self._describe_nearest(), *self._describe_suspects()]
 
     def tell_findings(self) -> list[str]:
-        """See `Words`."""
         first, *others = self.diagnosis.findings
         sides = map(self.describe_side_effect, others)
         return [f"{self.describe_finding(first)}.", *sides, self._describe_gain(), *self._describe_suspects()]
 
     def describe_carrier(self, carrier: str) -> str:
-        """See `Words`."""
         return describe_table_carrier(carrier, self.table)
 
     def describe_effect(self, finding: Finding) -> str:
-        """See `Words`."""
         if finding.traverses is not None:
             response, alone = self.table.response, len(finding.traverses) == 1
             largest = self.table.format_size(float(finding.traverses["departure"].abs().max()))
@@ -139,7 +135,6 @@ class TableWords(Words):
         return f"{phrase}, by {self.format_rms(finding)}"
 
     def describe_proposal(self, finding: Finding) -> str:
-        """See `Words`."""
         text = (
             f"What the law leaves of {self.table.response} {self.describe_carrier(finding.carrier)}, by "
             f"{self.format_rms(finding)}, in a way that no cause that was searched describes"

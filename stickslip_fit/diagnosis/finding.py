@@ -324,7 +324,6 @@ class LogInfo(DataInfo):
     least_limit = 0.05
 
     def format_number(self, value: float) -> str:
-        """See `DataInfo`."""
         return format_percent(value, with_unit=False)
 
 
@@ -376,7 +375,6 @@ class TableInfo(DataInfo):
 
     @property
     def nameless(self) -> str:
-        """See `DataInfo`."""
         return f"{self.response} over {pluralize(self.rows, 'row')}"
 
     @property

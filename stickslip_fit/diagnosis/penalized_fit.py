@@ -59,55 +59,44 @@ class PartialFactor(LinearFactor):
 
     @cached_property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return tuple(
             CauseParameter(f"d{number}", "1", "", prior_sd=1.0) for number in range(self.directions.shape[1])
         )
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return (1.0,) * self.directions.shape[1]
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `Cause`."""
         return self.whole.columns
 
     @property
     def varies_along_traverse(self) -> bool:  # type: ignore[override]
-        """See `Cause`."""
         return self.whole.varies_along_traverse
 
     def acts_on(self, law: StepLaw) -> bool:
-        """See `Cause.acts_on`."""
         return self.whole.acts_on(law)
 
     def panel(self, values: Array, joint: int) -> float:
-        """See `Cause.panel`."""
         return self.whole.panel(values @ self.directions.T, joint)
 
     def row_values(self, law: StepLaw, rows: Row) -> dict[str, Any]:
-        """See `Cause.row_values`."""
         return self.whole.row_values(law, rows)
 
     def functions(self, state: State) -> Array:
-        """See `LinearFactor.functions`."""
         return self.whole.functions(state)
 
     def acts(self, state: State) -> Array:
-        """See `LinearFactor.acts`."""
         return self.whole.acts(state)
 
     def mix(self, state: State, values: Array) -> Array:
-        """See `LinearFactor.mix`."""
         mixed = np.empty((len(values), self._functions_in(state)[0].shape[2]))
         for places, matrix in self._matrices(state):
             mixed[places] = values[places] @ matrix.T
         return mixed
 
     def spread(self, state: State, slopes: Array) -> Array:
-        """See `FactorCause.spread`."""
         spread = np.empty((*slopes.shape[:2], self.directions.shape[1]))
         for places, matrix in self._matrices(state):
             spread[places] = slopes[places] @ matrix
@@ -122,15 +111,12 @@ class PartialFactor(LinearFactor):
             yield places, np.tensordot(way, directions, 1)
 
     def sum_of(self, functions: Array, coefficients: Array) -> Array:
-        """See `LinearFactor.sum_of`."""
         return self.whole.sum_of(functions, coefficients)
 
     def slopes_of(self, functions: Array, coefficients: Array) -> Array:
-        """See `LinearFactor.slopes_of`."""
         return self.whole.slopes_of(functions, coefficients)
 
     def of_sum(self, total: Array) -> tuple[Array, Array | float]:
-        """See `LinearFactor.of_sum`."""
         return self.whole.of_sum(total)
 
 

@@ -140,7 +140,6 @@ class CapturePage(PageContent):
         raise RefusalError(HTTPStatus.FORBIDDEN, "this page shows a capture, and does not control it")
 
     def content(self, client: str) -> dict[str, Any]:
-        """See `PageContent.content`."""
         with self._lock:
             drive, steps = self._drive, self._steps
             content = {

@@ -229,14 +229,12 @@ class DrivePage(PageContent):
         self._state, self._shown = state, self._clock()
 
     def join(self, client: str) -> None:
-        """See `PageContent.join`."""
         with self._lock:
             self._clients.append(client)
             if self._clients[0] == client:
                 self.held.begin()
 
     def leave(self, client: str) -> None:
-        """See `PageContent.leave`."""
         with self._lock:
             in_control = self._clients[0] == client
             self._clients.remove(client)
@@ -244,7 +242,6 @@ class DrivePage(PageContent):
                 self.held.begin()
 
     def content(self, client: str) -> dict[str, Any]:
-        """See `PageContent.content`."""
         with self._lock:
             controls = self._clients[0] == client
         broken, reason = self.held.broken

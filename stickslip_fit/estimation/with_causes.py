@@ -350,17 +350,14 @@ class FixedCauseLaw(StepLaw):
 
     @property
     def prismatic(self) -> bool:
-        """See `StepLaw.prismatic`."""
         return self.law.prismatic
 
     @property
     def columns(self) -> tuple[str, ...]:  # type: ignore[override]
-        """See `StepLaw.columns`."""
         return self.extended.columns
 
     @property
     def max_panel(self) -> float:  # type: ignore[override]
-        """See `StepLaw.widest`."""
         return self.extended.max_panel
 
     def whole(self, values: Array) -> Array:
@@ -369,15 +366,12 @@ class FixedCauseLaw(StepLaw):
         return np.concatenate([values, sizes], axis=-1)
 
     def gamma(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma`."""
         return self.extended.gamma(state, self.whole(values))
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma_slopes`."""
         return self.extended.gamma_slopes(state, self.whole(values))[..., : len(self.parameters)]
 
     def counter(self, rows: Rows) -> Counter:
-        """See `StepLaw.counter`."""
         extended, own = self.extended.counter(rows), len(self.parameters)
 
         def count(values: Array) -> tuple[Array, Array]:
@@ -391,11 +385,9 @@ class FixedCauseLaw(StepLaw):
         return self.extended.predict(rows, self.whole(values)) - self.law.predict(rows, values)
 
     def start_values(self, mean_step: Array) -> Array:
-        """See `StepLaw.start_values`."""
         return self.law.start_values(mean_step)
 
     def scales(self, mean_step: Array) -> Array:
-        """See `StepLaw.scales`."""
         return self.law.scales(mean_step)
 
     def features(self, rows: Rows) -> Array:
@@ -403,7 +395,6 @@ class FixedCauseLaw(StepLaw):
         return self.law.features(rows)
 
     def calibration(self) -> tuple[Configuration, ...]:
-        """See `StepLaw.calibration`."""
         return self.law.calibration()
 
 

@@ -162,7 +162,6 @@ class Physical(StepLaw):
 
     @property
     def has_kinks(self) -> bool:  # type: ignore[override]
-        """See `StepLaw`."""
         return min(min(ratios) for ratios in (self.ratios, *self.regimes.values())) < DEEP
 
     def describe(self) -> dict[str, Any]:
@@ -207,25 +206,21 @@ class PhysicalPrismatic(Physical):
         self.ratios = ratios
 
     def gamma(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma`."""
         a, b, r = np.moveaxis(values[:, None, :], -1, 0)
         sign, kept = state.direction_sign, 1.0 - b * state.recoil
         gamma = find_gamma(a, r * sign * state.load, 1.0, self.ratio(sign), state.drive_change)
         return np.where(kept > 0, kept * gamma, np.nan)
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma_slopes`."""
         sign = state.direction_sign
         place = state.recoil, state.load, sign, values[:, None, :], self.ratio(sign)
         return self._evaluate(*place, state.drive_change)[1]
 
     def start_values(self, mean_step: Array) -> Array:
-        """See `StepLaw.start_values`."""
         others = np.broadcast_to([0.2, START_SHARE], (len(mean_step), 2))
         return np.column_stack([1.2 * mean_step, others])
 
     def scales(self, mean_step: Array) -> Array:
-        """See `StepLaw.scales`."""
         return np.column_stack([mean_step, np.ones((len(mean_step), 2))])
 
     def features(self, rows: Rows) -> Array:
@@ -298,26 +293,22 @@ class PhysicalRotary(Physical):
         """Share of the inertia to be gained that the arm has there; None without such a parameter."""
 
     def gamma(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma`."""
         sign, values = state.direction_sign, values[:, None, :]
         share, inertia, *_ = self._share_and_inertia(state.q2, state.q3, sign, values)
         load, ratio = sign * state.load, self.ratio(sign)
         return find_gamma(values[..., 0], share * load, inertia, ratio, state.drive_change)
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma_slopes`."""
         sign = state.direction_sign
         place = state.q2, state.q3, state.load, sign, values[:, None, :], self.ratio(sign)
         return self._evaluate(*place, state.drive_change)[1]
 
     def start_values(self, mean_step: Array) -> Array:
-        """See `StepLaw.start_values`."""
         shares = len(self.parameters) - 1 - self._gains
         others = np.r_[[0.05] * self._gains, [START_SHARE] * shares]
         return np.column_stack([mean_step, np.broadcast_to(others, (len(mean_step), len(others)))])
 
     def scales(self, mean_step: Array) -> Array:
-        """See `StepLaw.scales`."""
         return np.column_stack([mean_step, np.ones((len(mean_step), len(self.parameters) - 1))])
 
     @property
@@ -492,12 +483,10 @@ class PhysicalBase(PhysicalRotary):
         return rho / (self.machine.l2 + self.machine.ranges[3][1])
 
     def share_weights(self, q2: Array, q3: Array) -> list[Array]:
-        """See `PhysicalRotary.share_weights`."""
         reach = self._relative_reach(q2, q3)
         return [1.0 - reach, reach]
 
     def inertia_weight(self, q2: Array, q3: Array) -> Array | None:
-        """See `PhysicalRotary.inertia_weight`."""
         return self._relative_reach(q2, q3) ** 2
 
 
@@ -524,7 +513,6 @@ class PhysicalBaseAtOneReach(PhysicalRotary):
         self.q3 = q3
 
     def describe(self) -> dict[str, Any]:
-        """See `Physical.describe`."""
         return super().describe() | {"q2_rad": self.q2, "q3_m": self.q3}
 
     def inertia_weight(self, q2: Array, q3: Array) -> None:

@@ -52,21 +52,17 @@ class Prismatic(StepLaw):
     )
 
     def gamma(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma`."""
         kept, net = _recoil_and_load_factors(state.recoil, state.load, values[:, None, :])
         return kept * net
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma_slopes`."""
         kept, net = _recoil_and_load_factors(state.recoil, state.load, values[:, None, :])
         return np.stack(np.broadcast_arrays(kept, -state.recoil * net, -kept * state.load), axis=-1)
 
     def start_values(self, mean_step: Array) -> Array:
-        """See `StepLaw.start_values`."""
         return np.stack([1.2 * mean_step, np.full_like(mean_step, 0.2), np.zeros_like(mean_step)], axis=-1)
 
     def scales(self, mean_step: Array) -> Array:
-        """See `StepLaw.scales`."""
         return np.stack([mean_step, np.ones_like(mean_step), mean_step], axis=-1)
 
     def features(self, rows: Rows) -> Array:
@@ -126,14 +122,12 @@ class Rotary(StepLaw):
         return _weighted_sum(self.basis(rows), values)
 
     def gamma(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma`."""
         weights = self.weights(state.q2, state.q3)
         gamma0 = sum(weight * values[:, k, None] for k, weight in enumerate(weights))
         d = sum(weight * values[:, len(weights) + k, None] for k, weight in enumerate(weights))
         return gamma0 + d * state.load
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma_slopes`."""
         weights = self.weights(state.q2, state.q3)
         slopes = [*weights, *(weight * state.load for weight in weights)]
         return np.stack(np.broadcast_arrays(*slopes), axis=-1)
@@ -152,7 +146,6 @@ class Rotary(StepLaw):
         return count
 
     def features(self, rows: Rows) -> Array:
-        """See `StepLaw.features`."""
         amplitude, phase = self.swing(rows)
         load = np.stack([amplitude * np.cos(phase), amplitude * np.sin(phase)], axis=-1)
         return np.concatenate([self.basis(rows), load], axis=1)
@@ -181,7 +174,6 @@ class Elbow(Rotary):
         self.machine = machine
 
     def weights(self, q2: Array, q3: Array) -> list[Array]:
-        """See `Rotary.weights`."""
         low, high = self.machine.ranges[3]
         out = (q3 - low) / (high - low)
         return [1.0 - out, out]
@@ -191,12 +183,10 @@ class Elbow(Rotary):
         return np.cos(float_column(rows, "theta")), float_column(rows, "psi") - pi / 2
 
     def start_values(self, mean_step: Array) -> Array:
-        """See `StepLaw.start_values`."""
         zero = np.zeros_like(mean_step)
         return np.stack([mean_step, mean_step, zero, zero], axis=-1)
 
     def scales(self, mean_step: Array) -> Array:
-        """See `StepLaw.scales`."""
         return np.repeat(mean_step[:, None], 4, axis=1)
 
     def calibration(self) -> tuple[Configuration, ...]:
@@ -227,7 +217,6 @@ class Base(Rotary):
         self.machine = machine
 
     def weights(self, q2: Array, q3: Array) -> list[Array]:
-        """See `Rotary.weights`."""
         rho = reach(self.machine, q2, q3)
         return [np.ones_like(rho), rho]
 
@@ -238,12 +227,10 @@ class Base(Rotary):
         return np.hypot(sine, cosine), np.arctan2(sine, cosine)
 
     def start_values(self, mean_step: Array) -> Array:
-        """See `StepLaw.start_values`."""
         zero = np.zeros_like(mean_step)
         return np.stack([mean_step, zero, zero, zero], axis=-1)
 
     def scales(self, mean_step: Array) -> Array:
-        """See `StepLaw.scales`."""
         per_reach = mean_step / (self.machine.l2 + self.machine.ranges[3][1])
         return np.stack([mean_step, per_reach, mean_step, per_reach], axis=-1)
 
@@ -277,15 +264,12 @@ class BaseAtOneReach(Base):
         self.q3 = q3
 
     def weights(self, q2: Array, q3: Array) -> list[Array]:
-        """See `Rotary.weights`."""
         return [np.ones_like(q2)]
 
     def start_values(self, mean_step: Array) -> Array:
-        """See `StepLaw.start_values`."""
         return np.stack([mean_step, np.zeros_like(mean_step)], axis=-1)
 
     def scales(self, mean_step: Array) -> Array:
-        """See `StepLaw.scales`."""
         return np.repeat(mean_step[:, None], 2, axis=1)
 
     def calibration(self) -> tuple[Configuration, ...]:
@@ -315,23 +299,18 @@ class ConstantStep(StepLaw):
 
     @property
     def prismatic(self) -> bool:
-        """See `StepLaw.prismatic`."""
         return self._prismatic
 
     def gamma(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma`."""
         return values[:, :1]
 
     def gamma_slopes(self, state: State, values: Array) -> Array:
-        """See `StepLaw.gamma_slopes`."""
         return np.ones((len(values), 1, 1))
 
     def start_values(self, mean_step: Array) -> Array:
-        """See `StepLaw.start_values`."""
         return mean_step[:, None]
 
     def scales(self, mean_step: Array) -> Array:
-        """See `StepLaw.scales`."""
         return mean_step[:, None]
 
     def features(self, rows: Rows) -> Array:
@@ -339,7 +318,6 @@ class ConstantStep(StepLaw):
         return np.zeros((len(float_column(rows, "start")), 0))
 
     def calibration(self) -> tuple[Configuration, ...]:
-        """See `StepLaw.calibration`."""
         return () if self.measured_in is None else (self.measured_in,)
 
     def counter(self, rows: Rows) -> Counter:

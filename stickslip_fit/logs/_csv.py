@@ -164,23 +164,19 @@ class CsvTable(FileTable):
 
     @property
     def n_in_file(self) -> int:
-        """See `FileTable`."""
         return self.cells.read.num_rows
 
     def column(self, name: str) -> pa.Array:
-        """See `FileTable`."""
         cells = self._select_column(self.cells.read, name)
         return with_points(cells) if self.decimal_comma else cells
 
     def text(self, name: str) -> pa.Array:
-        """See `FileTable`."""
         read = self.cells.read
         if pa.types.is_large_string(read.column(self.names.index(name)).type):
             return self._select_column(read, name)
         return self._select_column(self.cells.text, name)
 
     def lines(self, rows: Int64Array) -> Int64Array:
-        """See `FileTable`."""
         return self.cells.records.scan.lines[self.index_in_file(rows)]
 
     def _select_column(self, cells: pa.Table, name: str) -> pa.Array:

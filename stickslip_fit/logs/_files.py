@@ -59,12 +59,10 @@ class ParquetTable(FileTable):
 
     @property
     def n_in_file(self) -> int:
-        """See `FileTable`."""
         return self.metadata.num_rows
 
     @cached_property
     def type_faults(self) -> Mapping[str, str]:
-        """See `FileTable`."""
         faults = zip(self.names, map(_explain_type, self.names, self.kinds), strict=True)
         return {name: message for name, message in faults if message}
 
@@ -104,7 +102,6 @@ class ParquetTable(FileTable):
         return needed.tolist(), self.rows - (ends - sizes)[group] + before[index]
 
     def text(self, name: str) -> pa.Array:
-        """See `FileTable`."""
         return to_text(self.column(name))
 
     def lines(self, rows: Int64Array) -> Int64Array:

@@ -48,11 +48,9 @@ class SheetTable(FileTable):
 
     @property
     def n_in_file(self) -> int:
-        """See `FileTable`."""
         return len(self.numbers)
 
     def column(self, name: str) -> pa.Array:
-        """See `FileTable`."""
         values = self._values(name)
         filled = [value for value in values if value is not None]
         if all(type(value) in (int, float) for value in filled):
@@ -71,11 +69,9 @@ class SheetTable(FileTable):
         return self.numbers[self.index_in_file(rows)]
 
     def locate(self, row: int) -> str:
-        """See `FileTable`."""
         return f"row {self.line(row)} of sheet {self.sheet!r} of {self.file}"
 
     def describe_place(self, line: int, column: str | None = None) -> str:
-        """See `FileTable`."""
         if column not in self.names:
             return f"sheet {self.sheet!r}, row {line}"
         return f"sheet {self.sheet!r}, cell {self.letters[self.names.index(column)]}{line}"

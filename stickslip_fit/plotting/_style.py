@@ -285,7 +285,6 @@ class VisibleTicks(Locator):
         self.locator = locator
 
     def set_axis(self, axis: Any) -> None:
-        """See `Locator.set_axis`."""
         super().set_axis(axis)
         self.locator.set_axis(axis)
 
@@ -296,7 +295,6 @@ class VisibleTicks(Locator):
         return [tick for tick in self.locator() if low <= tick <= high]
 
     def nonsingular(self, vmin: float, vmax: float) -> tuple[float, float]:
-        """See `Locator.nonsingular`."""
         return self.locator.nonsingular(vmin, vmax)
 
 

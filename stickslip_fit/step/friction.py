@@ -95,12 +95,10 @@ class OneBristle(BristleModel):
 
     @property
     def limit(self) -> float:
-        """See `BristleModel`."""
         return self.kinetic
 
     @property
     def deflections(self) -> Array:
-        """See `BristleModel`."""
         return np.array([self.kinetic / self.stiffness])
 
 
@@ -244,12 +242,10 @@ class MaxwellSlip(BristleModel):
 
     @property
     def limit(self) -> float:
-        """See `BristleModel`."""
         return sum(self.limits)
 
     @property
     def deflections(self) -> Array:
-        """See `BristleModel`."""
         return np.array(self.limits) / np.array(self.stiffnesses)
 
     @property

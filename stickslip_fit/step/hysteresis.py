@@ -165,7 +165,6 @@ class PrandtlIshlinskii(Hysteresis):
 
     @property
     def plays(self) -> tuple[Array, Array]:
-        """See `Hysteresis`."""
         return np.array(self.weights), np.array(self.thresholds)
 
 

@@ -117,7 +117,6 @@ class ClosedForm(PlannedStrategy):
         return pick_calibration_traverses(task, task.law)
 
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
-        """See `PlannedStrategy.plan`."""
         return plan_law(task.law, task, measured)
 
 
@@ -132,7 +131,6 @@ class ConstantStepStrategy(PlannedStrategy):
         return pick_calibration_traverses(task, constant_law(task.law))
 
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
-        """See `PlannedStrategy.plan`."""
         return plan_law(constant_law(task.law), task, measured)
 
 

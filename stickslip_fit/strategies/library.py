@@ -69,7 +69,6 @@ class LeastSquares(PlannedStrategy):
         return self.design.pick(task, len(task.law.parameters) + self.more)
 
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
-        """See `PlannedStrategy.plan`."""
         return plan_law(task.law, task, measured)
 
 
@@ -148,7 +147,6 @@ class Hierarchical(PlannedStrategy):
         return self.design.pick(task, self.traverses, PRIOR_SPREAD)
 
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
-        """See `PlannedStrategy.plan`."""
         if task.others.empty:
             raise NotApplicable("there is no other session to look back on")
 
@@ -203,7 +201,6 @@ class WithCauses(PlannedStrategy):
         return self.strategy.choose(task.with_causes(self._known(task)))
 
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
-        """See `PlannedStrategy.plan`."""
         known = self._known(task)
         repeatability = _estimate_repeatability(task.with_causes(known))
         uncertain = np.flatnonzero(np.diagonal(known.covariance) != 0)
