@@ -71,7 +71,7 @@ def open_controller(
 AXES = {1: "first", 2: "second", 3: "third"}
 
 
-class Anc300:
+class Anc300(Controller):
     """A `Controller` whose axes 1, 2 and 3 drive the joints of these numbers.
 
     `unit` is a pymeasure ``ANC300Controller`` with the axes of `AXES`; its step frequency is set at the unit.
@@ -81,7 +81,6 @@ class Anc300:
         self._unit = unit
 
     def step(self, joint: int, steps: int) -> None:
-        """See `Controller.step`."""
         if joint not in AXES:
             raise InputError(f"joint {joint} is none of 1, 2, 3; correct the plan")
         if steps:
@@ -89,19 +88,16 @@ class Anc300:
                 getattr(self._unit, AXES[joint]).move(steps, gnd=False)
 
     def stop(self) -> None:
-        """See `Controller.stop`."""
         with _translate_errors("stop"):
             # An unread reply of a move would be taken for that of the stop.
             self._unit.adapter.flush_read_buffer()
             self._unit.stop_all()
 
     def version(self) -> str:
-        """See `Controller.version`."""
         with _translate_errors("ver"):
             return str(self._unit.version).strip()
 
     def close(self) -> None:
-        """See `Controller.close`."""
         self._unit.adapter.close()
 
 

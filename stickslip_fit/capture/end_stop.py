@@ -13,7 +13,7 @@ import numpy as np
 
 from stickslip_fit._typing import Array, BoolArray, Int64Array
 from stickslip_fit.capture.audio import find_fault, is_dead
-from stickslip_fit.capture.protocols import AudioSource, Detection, Sound
+from stickslip_fit.capture.protocols import AudioSource, Detection, EndStopDetector, Sound
 from stickslip_fit.capture.tuning import COLOUR_MEMORY, GAIN_MEMORY, DetectionLimits, Tuning
 from stickslip_fit.errors import InputError
 
@@ -116,7 +116,7 @@ MAX_OVERLAP = 0.2  # share of a check that may have been heard before
 MAX_UNCERTAIN_CHECKS = 2  # masked checks at the stop with which the count is still trusted
 
 
-class SequentialDetector:
+class SequentialDetector(EndStopDetector):
     """An `EndStopDetector` that applies the sequential test to the sound of a source.
 
     The sound is cut into checks as long as those of the tuning, the newest ones where it is no multiple.
@@ -139,7 +139,6 @@ class SequentialDetector:
         self.begin()
 
     def begin(self) -> None:
-        """See `EndStopDetector.begin`."""
         self._test = begin_sequential_test(1)
         self._sound = np.zeros(0, np.float32)
         self._new = 0
@@ -147,7 +146,6 @@ class SequentialDetector:
         self._call = self._call_before = 0  # in which this piece and the one before came
 
     def check(self, seconds: float) -> Detection:
-        """See `EndStopDetector.check`."""
         self._calls += 1
         seconds = min(seconds, MAX_SOUND_SECONDS)
         samples = self.source.read(seconds)
@@ -162,7 +160,6 @@ class SequentialDetector:
         return detection
 
     def close(self) -> None:
-        """See `EndStopDetector.close`."""
         self.source.close()
 
     def _pieces(self, values: Sound) -> Sound:

@@ -16,6 +16,7 @@ from stickslip_fit.capture.protocols import (
     STEP_PERIOD,
     Clock,
     ConnectionLost,
+    Controller,
     ControllerError,
     channel_of,
     split_move,
@@ -25,24 +26,34 @@ from stickslip_fit.errors import InputError
 WRITE_TIMEOUT = 2.0  # s; a few bytes take a millisecond
 
 
-class SerialTransport:
+class ByteTransport(Protocol):
+    """Bytes in both directions; any OSError means that the connection is lost."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+
+    def read(self, seconds: float) -> bytes:
+        """Return what arrives, as soon as anything does; nothing if nothing arrives within so long."""
+
+    def close(self) -> None:
+        """Close the connection."""
+
+
+class SerialTransport(ByteTransport):
     """A `ByteTransport` over pyserial; see `open_serial`."""
 
     def __init__(self, port: Any) -> None:
         self._port = port
 
     def write(self, data: bytes) -> None:
-        """See `ByteTransport.write`."""
         self._port.write(data)
 
     def read(self, seconds: float) -> bytes:
-        """See `ByteTransport.read`."""
         self._port.timeout = seconds
         first = self._port.read(1)
         return first + self._port.read(self._port.in_waiting) if first else b""
 
     def close(self) -> None:
-        """See `ByteTransport.close`."""
         self._port.close()
 
 
@@ -73,19 +84,6 @@ def open_serial(port: str, baud: int) -> SerialTransport:
             f"the port, or choose another; there are {ports}"
         ) from error
     return SerialTransport(opened)
-
-
-class ByteTransport(Protocol):
-    """Bytes in both directions; any OSError means that the connection is lost."""
-
-    def write(self, data: bytes) -> None:
-        """Send bytes."""
-
-    def read(self, seconds: float) -> bytes:
-        """Return what arrives, as soon as anything does; nothing if nothing arrives within so long."""
-
-    def close(self) -> None:
-        """Close the connection."""
 
 
 class LineTransport:
@@ -169,7 +167,7 @@ class _NoReply(ControllerError):
     """No reply in time."""
 
 
-class NanoControl:
+class NanoControl(Controller):
     """NanoControl in its new dialect: a `Controller` that matches every reply to its command.
 
     A reply is a letter, a TAB and a message: ``o`` done, ``e`` refused. ``i`` informs at any moment and
@@ -211,11 +209,9 @@ class NanoControl:
             self._exchange.release()
 
     def version(self) -> str:
-        """See `Controller.version`."""
         return self._ask("version", 0.0, "command 'version'")
 
     def close(self) -> None:
-        """See `Controller.close`."""
         self._line.close()
 
     def _read_stop_replies(self) -> None:
@@ -304,7 +300,7 @@ COMMAND_SECONDS = 0.010  # transmission of a command at 19200 baud
 VERSION_TIMEOUT = 0.5  # s
 
 
-class OldNanoControl:
+class OldNanoControl(Controller):
     """NanoControl in its old dialect: a `Controller` that waits out the time of a move, `step_period` each.
 
     A step period below the controller's own would send steps faster than they are made.
@@ -329,14 +325,12 @@ class OldNanoControl:
         self._wait()
 
     def version(self) -> str:
-        """See `Controller.version`."""
         self._wait()
         self._line.read_all(0.0)  # discards earlier output
         self._line.send("version")
         return " ".join(self._line.read_all(VERSION_TIMEOUT).split())
 
     def close(self) -> None:
-        """See `Controller.close`."""
         self._line.close()
 
     def _wait(self) -> None:

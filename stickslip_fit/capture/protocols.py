@@ -172,23 +172,20 @@ class Clock(Protocol):
         """Date and time of day, UTC."""
 
 
-class RealClock:
+class RealClock(Clock):
     """The computer's clock."""
 
     def now(self) -> float:
-        """See `Clock.now`."""
         return time.monotonic()
 
     def sleep(self, seconds: float) -> None:
-        """See `Clock.sleep`."""
         time.sleep(max(seconds, 0.0))
 
     def today(self) -> datetime:
-        """Date and time of day, UTC."""
         return datetime.now(UTC)
 
 
-class VirtualClock:
+class VirtualClock(Clock):
     """A clock that advances only in `sleep`, and then at once; it begins at a date and time with a time zone.
 
     Examples
@@ -212,7 +209,6 @@ class VirtualClock:
         self._now += max(seconds, 0.0)
 
     def today(self) -> datetime:
-        """Date and time of day, UTC."""
         return self.begins.astimezone(UTC) + timedelta(seconds=self._now)
 
 

@@ -17,6 +17,7 @@ import typer
 
 from stickslip_fit.capture.operator import (
     CONDITIONS_EXAMPLE,
+    Operator,
     OperatorChoice,
     OperatorReply,
     PlannedDrive,
@@ -59,14 +60,13 @@ class Console(Protocol):
         """Wait for input and return it."""
 
 
-class PosixConsole:
+class PosixConsole(Console):
     """The standard input, read past Python's buffer, which would hide its content from `waiting`."""
 
     def __init__(self) -> None:
         self._before: list[Any] = []
 
     def open(self) -> None:
-        """See `Console.open`."""
         import termios
         import tty
 
@@ -74,18 +74,15 @@ class PosixConsole:
         tty.setcbreak(sys.stdin)
 
     def close(self) -> None:
-        """See `Console.close`."""
         import termios
 
         with suppress(termios.error):  # the terminal may have been closed
             termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
 
     def waiting(self, seconds: float | None) -> bool:
-        """See `Console.waiting`."""
         return bool(select.select([sys.stdin], [], [], seconds)[0])
 
     def read(self) -> str:
-        """See `Console.read`."""
         try:
             text = os.read(sys.stdin.fileno(), 64).decode("utf-8", "replace")
         except OSError:  # of a terminal that was closed
@@ -95,7 +92,7 @@ class PosixConsole:
         return re.sub(r"\x1b[\[O]([0-9;]*[A-Za-z~])", lambda found: SEQUENCES.get(found[1], SPECIAL), text)
 
 
-class WindowsConsole:
+class WindowsConsole(Console):
     """The console window, which always delivers keys at once, one at a time, and has to be polled."""
 
     def __init__(self) -> None:
@@ -108,7 +105,6 @@ class WindowsConsole:
         """See `Console.close`."""
 
     def waiting(self, seconds: float | None) -> bool:
-        """See `Console.waiting`."""
         end = monotonic() + (inf if seconds is None else seconds)
         while not self._console.kbhit():
             if monotonic() >= end:
@@ -117,7 +113,6 @@ class WindowsConsole:
         return True
 
     def read(self) -> str:
-        """See `Console.read`."""
         key = self._console.getwch()
         if key == "\x03":
             raise KeyboardInterrupt  # Ctrl-C arrives as a key here
@@ -231,20 +226,18 @@ KEY_CHOICES = {
 }
 
 
-class ConsoleOutput:
+class ConsoleOutput(Operator):
     """Prints the progress of a capture; raises InputError or OSError where that is not possible."""
 
     def __init__(self) -> None:
         self._checks = 0
 
     def show(self, text: str) -> None:
-        """See `Operator.show`."""
         if sys.stdout is not None and sys.stdout.isatty():
             _write("\r\x1b[K")
         _write(f"{text}\n")
 
     def begin_drive(self, drive: PlannedDrive) -> None:
-        """See `Operator.begin_drive`."""
         self._checks = 0
         self.show(f"{drive.title} ({drive.row['joint']}{drive.row['direction']})")
 
@@ -270,19 +263,15 @@ class TerminalOperator(ConsoleOutput):
         self.keys = keys
 
     def begin_session(self, label: str) -> OperatorReply:
-        """See `Operator.begin_session`."""
         return self._ask(f"Session {label}: switch on and warm up.", "sqc")
 
     def set_up(self, wanted: RigSetting, before: RigSetting | None) -> OperatorReply:
-        """See `Operator.set_up`."""
         return self._ask(format_setting(wanted, before), "sqc")
 
     def bring_joint(self, joint: int, position: float) -> OperatorReply:
-        """See `Operator.bring_joint`."""
         return self._ask(f"Bring joint {joint} to {format_position(joint, position)} by hand.", "sqc")
 
     def stop_wanted(self) -> bool:
-        """See `Operator.stop_wanted`."""
         return self.keys.pressed()
 
     def review(self, reading: TraverseReading) -> OperatorReply:
@@ -293,7 +282,6 @@ class TerminalOperator(ConsoleOutput):
         return self._ask(f"kept in {DOUBT_SECONDS:.0f} s", "rsqnc", DOUBT_SECONDS)
 
     def handle_failure(self, drive: PlannedDrive, reason: str) -> OperatorReply:
-        """See `Operator.handle_failure`."""
         return self._ask(f"Broken off: {reason}.", "sqnc")
 
     def _ask(self, question: str, choices: str, seconds: float | None = None) -> OperatorReply:
@@ -329,32 +317,26 @@ class UnattendedOperator(ConsoleOutput):
         self._failures = 0
 
     def begin_session(self, label: str) -> OperatorReply:
-        """See `Operator.begin_session`."""
         self.show(f"Session {label}")
         return OperatorReply()
 
     def set_up(self, wanted: RigSetting, before: RigSetting | None) -> OperatorReply:
-        """See `Operator.set_up`."""
         self.show(format_setting(wanted, before))
         return OperatorReply()
 
     def bring_joint(self, joint: int, position: float) -> OperatorReply:
-        """See `Operator.bring_joint`."""
         self.show(f"joint {joint} brought to {format_position(joint, position)} by hand")
         return OperatorReply()
 
     def stop_wanted(self) -> bool:
-        """See `Operator.stop_wanted`."""
         return False
 
     def review(self, reading: TraverseReading) -> OperatorReply:
-        """See `Operator.review`."""
         self._failures = 0
         self.show(format_reading(reading))
         return OperatorReply()
 
     def handle_failure(self, drive: PlannedDrive, reason: str) -> OperatorReply:
-        """See `Operator.handle_failure`."""
         self._failures += 1
         self.show(f"  broken off: {reason}")
         return OperatorReply(OperatorChoice.QUIT if self._failures >= MAX_FAILURES else OperatorChoice.GO_ON)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from stickslip_fit.capture.terminal import DOWN, LEFT, PAGE_DOWN, PAGE_UP, RIGHT, UP
-from stickslip_fit.drive.state import VelocityInput
+from stickslip_fit.drive.state import InputDevice, VelocityInput
 from stickslip_fit.units import JOINTS, PRISMATIC
 
 HOLD = 0.050  # s of motion for each press
@@ -31,7 +31,7 @@ HELP = (
 )
 
 
-class KeyboardDevice:
+class KeyboardDevice(InputDevice):
     """An `InputDevice` of key presses.
 
     Parameters

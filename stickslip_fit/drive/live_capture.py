@@ -164,7 +164,7 @@ def _describe_drive(drive: PlannedDrive, steps: int) -> dict[str, Any]:
     return {"title": title, "steps": steps, "count": f"{steps:,}", "about": about, **prediction}
 
 
-class LiveOperator:
+class LiveOperator(Operator):
     """An `Operator` that passes everything on to another one, and lets a page know."""
 
     def __init__(self, operator: Operator, page: CapturePage) -> None:
@@ -172,42 +172,34 @@ class LiveOperator:
         self.page = page
 
     def show(self, text: str) -> None:
-        """See `Operator.show`."""
         self.page.say(text)
         self.operator.show(text)
 
     def begin_session(self, label: str) -> OperatorReply:
-        """See `Operator.begin_session`."""
         self.page.begin_session(label)
         with self.page.asking(f"Session {label}: switch on and warm up."):
             return self.operator.begin_session(label)
 
     def set_up(self, wanted: RigSetting, before: RigSetting | None) -> OperatorReply:
-        """See `Operator.set_up`."""
         with self.page.asking(format_setting(wanted, before)):
             return self.operator.set_up(wanted, before)
 
     def bring_joint(self, joint: int, position: float) -> OperatorReply:
-        """See `Operator.bring_joint`."""
         with self.page.asking(f"Bring joint {joint} to {format_position(joint, position)} by hand."):
             return self.operator.bring_joint(joint, position)
 
     def begin_drive(self, drive: PlannedDrive) -> None:
-        """See `Operator.begin_drive`."""
         self.page.begin_drive(drive)
         self.operator.begin_drive(drive)
 
     def progress(self, drive: PlannedDrive, steps: int, detection: Detection) -> None:
-        """See `Operator.progress`."""
         self.page.progress(drive, steps, detection)
         self.operator.progress(drive, steps, detection)
 
     def stop_wanted(self) -> bool:
-        """See `Operator.stop_wanted`."""
         return self.operator.stop_wanted()
 
     def review(self, reading: TraverseReading) -> OperatorReply:
-        """See `Operator.review`."""
         self.page.add(compare_reading(reading))
         question = f"Doubtful: {reading.deviation}" if reading.deviation else ""
         if reading.deviation:
@@ -219,7 +211,6 @@ class LiveOperator:
         return reply
 
     def handle_failure(self, drive: PlannedDrive, reason: str) -> OperatorReply:
-        """See `Operator.handle_failure`."""
         self.page.say(f"{drive.title}: broken off, {reason}")
         with self.page.asking(f"Broken off: {reason}."):
             return self.operator.handle_failure(drive, reason)

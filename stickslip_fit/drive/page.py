@@ -29,7 +29,7 @@ from stickslip_fit._format import MISSING, capitalize_first, format_number, form
 from stickslip_fit.drive.page_server import PageContent, PageFiles, RefusalError, serve_page
 from stickslip_fit.drive.picture import ArmView, view_arm
 from stickslip_fit.drive.screen import format_advice, format_count, format_joint
-from stickslip_fit.drive.state import DriveState, VelocityInput
+from stickslip_fit.drive.state import DriveState, InputDevice, VelocityInput
 from stickslip_fit.machine import Machine
 from stickslip_fit.moves.error_ellipsoid import error_ellipse
 from stickslip_fit.units import JOINTS, from_si, to_si
@@ -198,7 +198,7 @@ class HeldInput:
         self._broken, self._held, self._reason = self._press, None, reason
 
 
-class DrivePage(PageContent):
+class DrivePage(PageContent, InputDevice):
     """Shows a drive on a page, and takes its input; see `serve_drive_page`.
 
     The page that was opened first is in control; others show the same, and can only stop. When it is closed,
@@ -217,7 +217,6 @@ class DrivePage(PageContent):
         self._shown = 0.0
 
     def read(self, now: float) -> VelocityInput:
-        """See `InputDevice.read`."""
         return self.held.read(now)
 
     def interrupts(self, now: float) -> bool:

@@ -74,7 +74,7 @@ class DriveTrace:
         return collect_axes(draw_drive(self.table, float(from_si(self.states[0].tolerance, "µm"))))
 
 
-class _Notes:
+class _Notes(Screen):
     """A screen that notes what it is shown, and where the emulated tip truly is."""
 
     def __init__(self, rig: EmulatedRig, arm: CalibratedArm) -> None:
@@ -84,7 +84,6 @@ class _Notes:
         self.true_tips: list[Array] = []
 
     def show(self, state: DriveState) -> None:
-        """See `Screen.show`."""
         self.states.append(state)
         self.true_tips.append(forward(self.arm.machine, true_joints(self.rig)))
 

@@ -27,7 +27,7 @@ Picture = Callable[[DriveState, int, int], list[str]]
 """From a state, width and height to the lines of a picture."""
 
 
-class TerminalScreen:
+class TerminalScreen(Screen):
     """Shows a drive on the standard output.
 
     Parameters
@@ -46,7 +46,6 @@ class TerminalScreen:
         self._message = ""
 
     def show(self, state: DriveState) -> None:
-        """See `Screen.show`."""
         if sys.stdout.isatty():
             self._draw(state)
             return
@@ -73,19 +72,18 @@ class TerminalScreen:
         self._drawn = len(lines)
 
 
-class Screens:
+class Screens(Screen):
     """Several screens as one."""
 
     def __init__(self, screens: tuple[Screen, ...]) -> None:
         self.screens = screens
 
     def show(self, state: DriveState) -> None:
-        """See `Screen.show`."""
         for screen in self.screens:
             screen.show(state)
 
 
-class ScreenThread:
+class ScreenThread(Screen):
     """A `Screen` in a thread of its own, so that a terminal that stands still does not hold up the joints."""
 
     def __init__(self, screen: Screen, now: Callable[[], float]) -> None:
@@ -100,7 +98,6 @@ class ScreenThread:
         self._thread.start()
 
     def show(self, state: DriveState) -> None:
-        """See `Screen.show`."""
         with self._wake:
             self._latest = state
             if self._busy_since is None:

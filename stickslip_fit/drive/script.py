@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from stickslip_fit._typing import Array
-from stickslip_fit.drive.state import VelocityInput
+from stickslip_fit.drive.state import InputDevice, VelocityInput
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.units import JOINTS, to_si
 
@@ -47,7 +47,7 @@ class VelocityScript:
     homes: tuple[int, ...]
 
 
-class ScriptDevice:
+class ScriptDevice(InputDevice):
     """An `InputDevice` that plays a script; time in which nobody reads it is not made up for."""
 
     def __init__(self, script: VelocityScript) -> None:
@@ -58,7 +58,6 @@ class ScriptDevice:
         self._last_home = max((line for line, joint in enumerate(script.homes) if joint), default=-1)
 
     def read(self, now: float) -> VelocityInput:
-        """See `InputDevice.read`."""
         script = self.script
         if self._last is not None:
             self._elapsed += min(now - self._last, MAX_TICK)

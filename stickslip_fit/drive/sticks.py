@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from stickslip_fit.drive.state import VelocityInput
+from stickslip_fit.drive.state import InputDevice, VelocityInput
 from stickslip_fit.errors import InputError
 
 POLL_SECONDS = 0.004
@@ -42,7 +42,7 @@ Poll = Callable[[], StickState]
 """Reads a device; raises any error where it is gone."""
 
 
-class StickDevice:
+class StickDevice(InputDevice):
     """An `InputDevice` of something that is deflected, polled in a thread.
 
     Parameters
@@ -74,7 +74,6 @@ class StickDevice:
             raise self._failure
 
     def read(self, now: float) -> VelocityInput:
-        """See `InputDevice.read`."""
         latest, age = self._latest, monotonic() - self._polled_at
         if latest.ends:
             return VelocityInput(ends=True)

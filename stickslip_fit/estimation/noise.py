@@ -74,7 +74,7 @@ class Likelihood(Protocol):
 
 
 @dataclass(frozen=True)
-class Gaussian:
+class Gaussian(Likelihood):
     """Gaussian errors: ordinary least squares."""
 
     method: str = "least-squares"
@@ -82,12 +82,11 @@ class Gaussian:
     spread: float = 1.0
 
     def irls_weight(self, squares: Array) -> Array:
-        """See `Likelihood.irls_weight`."""
         return np.ones_like(squares)
 
 
 @dataclass(frozen=True)
-class StudentT:
+class StudentT(Likelihood):
     """Student's t errors: a misheard end stop has little weight (K. Lange et al., JASA 84:881, 1989).
 
     Parameters
@@ -106,16 +105,13 @@ class StudentT:
 
     @property
     def information(self) -> float:
-        """See `Likelihood.information`."""
         return (self.df + 1.0) / (self.df + 3.0)
 
     @property
     def spread(self) -> float:
-        """See `Likelihood.spread`."""
         return float(np.sqrt(self.df / (self.df - 2.0)))
 
     def irls_weight(self, squares: Array) -> Array:
-        """See `Likelihood.irls_weight`."""
         return (self.df + 1.0) / (self.df + squares)
 
 

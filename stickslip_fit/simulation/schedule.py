@@ -45,7 +45,7 @@ class Course(Protocol):
 
 
 @dataclass(frozen=True)
-class Since:
+class Since(Course):
     """All of a change from one traverse on.
 
     Attributes
@@ -67,11 +67,9 @@ class Since:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """See `Course`."""
         return ("traverse", "session_seconds") if self.moment else ("traverse",)
 
     def share(self, row: Row) -> Array:
-        """See `Course`."""
         if not self.traverse:
             raise InputError(f"a change from session {self.session!r} on needs a plan with its sessions")
         number = _numbers(row, "traverse")
@@ -100,7 +98,7 @@ class Since:
 
 
 @dataclass(frozen=True)
-class ByColumn:
+class ByColumn(Course):
     """A change in proportion to a column: none at `at`, once for each `per` above it.
 
     Attributes
@@ -117,20 +115,17 @@ class ByColumn:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """See `Course`."""
         return (self.column,)
 
     def share(self, row: Row) -> Array:
-        """See `Course`."""
         return (_numbers(row, self.column) - self.at) / self.per
 
     def bind(self, sessions: Sequence[str], traverses: int) -> Self:
-        """See `Course`."""
         return self
 
 
 @dataclass(frozen=True)
-class WithUse:
+class WithUse(Course):
     """A change that settles: 1 - exp(-n / scale) of it, n the joint's own steps or the session's seconds.
 
     Attributes
@@ -145,15 +140,12 @@ class WithUse:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """See `Course`."""
         return (self.column,)
 
     def share(self, row: Row) -> Array:
-        """See `Course`."""
         return -np.expm1(-_numbers(row, self.column) / self.scale)
 
     def bind(self, sessions: Sequence[str], traverses: int) -> Self:
-        """See `Course`."""
         return self
 
 

@@ -344,7 +344,7 @@ class CalibrationPlan:
         return self.finish(solve_together(self.fits))
 
 
-class PlannedStrategy(ABC):
+class PlannedStrategy(Strategy, ABC):
     """A strategy that calibrates by least squares, whose fits can be solved together with those of others."""
 
     @abstractmethod
@@ -352,7 +352,6 @@ class PlannedStrategy(ABC):
         """The plan of `calibrate`, which may raise NotApplicable."""
 
     def calibrate(self, task: CalibrationTask, measured: pd.DataFrame) -> Predictor:
-        """See `Strategy.calibrate`."""
         return self.plan(task, measured).calibrate()
 
 

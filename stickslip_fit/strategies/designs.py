@@ -113,7 +113,6 @@ class ClosedForm(PlannedStrategy):
     name: ClassVar[str] = "closed form"
 
     def choose(self, task: CalibrationTask) -> IntArray:
-        """See `Strategy.choose`."""
         return pick_calibration_traverses(task, task.law)
 
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
@@ -127,7 +126,6 @@ class ConstantStepStrategy(PlannedStrategy):
     name: ClassVar[str] = "constant step"
 
     def choose(self, task: CalibrationTask) -> IntArray:
-        """See `Strategy.choose`."""
         return pick_calibration_traverses(task, constant_law(task.law))
 
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
@@ -184,13 +182,12 @@ class Design(Protocol):
 
 
 @dataclass(frozen=True)
-class Thesis:
+class Thesis(Design):
     """The thesis's calibration, then the session's next traverses."""
 
     name: ClassVar[str] = "thesis"
 
     def pick(self, task: CalibrationTask, count: int, spread: float | None = None) -> IntArray:
-        """See `Design.pick`."""
         _check_count(task, count)
         first = pick_calibration_traverses(task, task.law)
         others = np.setdiff1d(np.arange(len(task.offered)), first)
@@ -198,7 +195,7 @@ class Thesis:
 
 
 @dataclass(frozen=True)
-class AtRandom:
+class AtRandom(Design):
     """Random ones that determine the parameters; the same for the same seed, session and direction.
 
     Least squares may still have two solutions and find the wrong one: with the base level throughout, b and
@@ -209,7 +206,6 @@ class AtRandom:
     name: ClassVar[str] = "random"
 
     def pick(self, task: CalibrationTask, count: int, spread: float | None = None) -> IntArray:
-        """See `Design.pick`."""
         _check_count(task, count)
         where = f"{task.session} {task.law.joint} {task.direction}"
         rng, slopes = np.random.default_rng([self.seed, crc32(where.encode())]), _scaled_jacobian(task)
@@ -221,24 +217,22 @@ class AtRandom:
 
 
 @dataclass(frozen=True)
-class DOptimal:
+class DOptimal(Design):
     """Those of least generalized variance of the parameters."""
 
     name: ClassVar[str] = "D-optimal"
 
     def pick(self, task: CalibrationTask, count: int, spread: float | None = None) -> IntArray:
-        """See `Design.pick`."""
         return _pick_optimal(task, count, spread, lambda region: negative_log_determinant)
 
 
 @dataclass(frozen=True)
-class IOptimal:
+class IOptimal(Design):
     """Those of least mean variance of predictions over the session's configurations."""
 
     name: ClassVar[str] = "I-optimal"
 
     def pick(self, task: CalibrationTask, count: int, spread: float | None = None) -> IntArray:
-        """See `Design.pick`."""
         return _pick_optimal(task, count, spread, mean_variance_loss)
 
 

@@ -61,11 +61,9 @@ class LeastSquares(PlannedStrategy):
 
     @property
     def name(self) -> str:
-        """See `Strategy.name`."""
         return f"least squares, {self.design.name}{f' +{self.more}' if self.more else ''}"
 
     def choose(self, task: CalibrationTask) -> IntArray:
-        """See `Strategy.choose`."""
         return self.design.pick(task, len(task.law.parameters) + self.more)
 
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
@@ -139,11 +137,9 @@ class Hierarchical(PlannedStrategy):
 
     @property
     def name(self) -> str:
-        """See `Strategy.name`."""
         return f"Bayes, {self.traverses} {self.design.name}"
 
     def choose(self, task: CalibrationTask) -> IntArray:
-        """See `Strategy.choose`."""
         return self.design.pick(task, self.traverses, PRIOR_SPREAD)
 
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:
@@ -193,11 +189,9 @@ class WithCauses(PlannedStrategy):
 
     @property
     def name(self) -> str:
-        """See `Strategy.name`."""
         return f"{self.strategy.name}{WITH_CAUSES}"
 
     def choose(self, task: CalibrationTask) -> IntArray:
-        """See `Strategy.choose`."""
         return self.strategy.choose(task.with_causes(self._known(task)))
 
     def plan(self, task: CalibrationTask, measured: pd.DataFrame) -> CalibrationPlan:

@@ -180,7 +180,7 @@ class SessionCalibrations(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class LawCalibrations:
+class LawCalibrations(SessionCalibrations):
     """A law with parameters for each session, shape (c, p), and their covariance; NaN without calibration."""
 
     law: StepLaw
@@ -188,19 +188,17 @@ class LawCalibrations:
     covariance: Array
 
     def predict(self, rows: pd.DataFrame, number: IntArray) -> tuple[Array, Array]:
-        """See `SessionCalibrations.predict`."""
         mean, jacobian = self.law.model(rows)(self.values[number])
         return mean, np.sqrt(np.einsum("ni,nij,nj->n", jacobian, self.covariance[number], jacobian))
 
 
 @dataclass(frozen=True, eq=False)
-class PredictorCalibrations:
+class PredictorCalibrations(SessionCalibrations):
     """A predictor for each session; None without calibration."""
 
     predictors: Sequence[Predictor | None]
 
     def predict(self, rows: pd.DataFrame, number: IntArray) -> tuple[Array, Array]:
-        """See `SessionCalibrations.predict`."""
         response = np.full((2, len(rows)), np.nan)
         for session in np.unique(number):
             subset, predictor = np.flatnonzero(number == session), self.predictors[session]

@@ -113,13 +113,12 @@ class Backend(Protocol):
 
 
 @dataclass(frozen=True)
-class Cores:
+class Cores(Backend):
     """Cores of this machine: `workers` processes, or as many as there are cores for -1."""
 
     workers: int = -1
 
     def run(self, chunks: Sequence[Chunk]) -> ChunkResults:
-        """See `Backend.run`."""
         from joblib import Parallel, delayed
 
         check_workers(self.workers)
@@ -236,7 +235,7 @@ TIMEOUT = 30  # s, for the scheduler to answer and for a first worker
 
 
 @dataclass(frozen=True)
-class Cluster:
+class Cluster(Backend):
     """Workers of the Dask scheduler at an address such as ``tcp://10.0.0.1:8786``.
 
     A chunk whose worker dies is run by another. Workers write nothing: the calling process stores each
@@ -246,7 +245,6 @@ class Cluster:
     address: str
 
     def run(self, chunks: Sequence[Chunk]) -> ChunkResults:
-        """See `Backend.run`."""
         distributed, code_version = _import_distributed(), current_code_version()
         with self._client(distributed) as client:
             waiting = {

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from stickslip_fit.capture.emulator.manipulator import Manipulator
+from stickslip_fit.capture.nanocontrol import ByteTransport
 from stickslip_fit.capture.protocols import STEP_PERIOD, Clock
 
 TIME_TOL = 1e-6  # of a step; for times that add up
@@ -189,18 +190,16 @@ class OldDialect(EmulatedController):
         """The old dialect says nothing."""
 
 
-class EmulatedTransport:
+class EmulatedTransport(ByteTransport):
     """A `ByteTransport` to an emulated controller, by whose clock a read waits."""
 
     def __init__(self, controller: EmulatedController) -> None:
         self._controller = controller
 
     def write(self, data: bytes) -> None:
-        """See `ByteTransport.write`."""
         self._controller.receive(data)
 
     def read(self, seconds: float) -> bytes:
-        """See `ByteTransport.read`."""
         output = self._controller.send()
         if output or seconds <= 0:
             return output

@@ -30,6 +30,7 @@ from stickslip_fit.capture.protocols import (
     Clock,
     Controller,
     Detection,
+    EndStopDetector,
     Samples,
     VirtualClock,
 )
@@ -78,7 +79,7 @@ class EmulatedMicrophone:
         return moving, at_stop
 
 
-class IdealDetector:
+class IdealDetector(EndStopDetector):
     """An `EndStopDetector` that knows at which step the stop was met."""
 
     def __init__(self, controller: EmulatedController) -> None:
@@ -86,11 +87,9 @@ class IdealDetector:
         self._heard_until = controller.clock.now()
 
     def begin(self) -> None:
-        """See `EndStopDetector.begin`."""
         self._heard_until = self._controller.clock.now()
 
     def check(self, seconds: float) -> Detection:
-        """See `EndStopDetector.check`."""
         self._controller.advance()
         at_stop = False
         for record in reversed(self._controller.manipulator.step_records):
