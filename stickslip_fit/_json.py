@@ -34,6 +34,11 @@ def to_plain(content: Any) -> Any:
     return content
 
 
+def to_tuples(content: Any) -> Any:
+    """Tuples in place of lists, and of lists in lists."""
+    return tuple(map(to_tuples, content)) if isinstance(content, list | tuple) else content
+
+
 def write_json(path: str | Path, content: Any, sources: Iterable[str | Path] = ()) -> None:
     """Write plain JSON types for people to read; `sources` and errors as `write_atomically`."""
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)

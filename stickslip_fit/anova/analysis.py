@@ -8,7 +8,6 @@ is one flat record.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -17,7 +16,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from stickslip_fit._io import write_atomically
+from stickslip_fit._json import write_json
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
 from stickslip_fit._threads import one_blas_thread
@@ -58,8 +57,7 @@ def save_records(records: Sequence[Mapping[str, object]], path: str | Path) -> N
     InputError
         If the file cannot be written.
     """
-    text = json.dumps(list(records), indent=1, ensure_ascii=False, allow_nan=False)
-    write_atomically(path, text + "\n")
+    write_json(path, list(records))
 
 
 def to_record(item: FactorTest | NotTestable) -> dict[str, object]:

@@ -24,7 +24,7 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.anova.contrasts import indicator_columns, orthonormal_basis
 from stickslip_fit.anova.designs import NotTestable
 from stickslip_fit.anova.factor_test import AssumptionCheck, check_assumptions
-from stickslip_fit.anova.position import CONFIGURATION, DAY, DIRECTION
+from stickslip_fit.anova.position import CONFIGURATION, DAY, DIRECTION, refuse
 from stickslip_fit.anova.term_test import (
     MAX_COLUMNS,
     NO_SCATTER,
@@ -114,15 +114,15 @@ def analyze_overall(rows: pd.DataFrame, machine: Machine) -> tuple[OverallAnalys
     y = y - np.median(y)
     model = _choose_model(rows)
     if isinstance(model, str):
-        return None, [_refuse(joint, OVERALL, model)]
+        return None, [refuse(joint, OVERALL, model)]
     residuals = y - model.whole @ (model.whole.T @ y)
     error = ErrorTerm(residuals, model.residual_df, RESIDUAL)
     if np.sqrt(error.mean_square) <= NO_SCATTER:
-        return None, [_refuse(joint, OVERALL, "no scatter at all, so that nothing can be compared with it")]
+        return None, [refuse(joint, OVERALL, "no scatter at all, so that nothing can be compared with it")]
     tests, refused = [], []
     for term, bases in model.bases.items():
         if not bases[1].shape[1]:
-            refused.append(_refuse(joint, name_term(term), "it changes together with other factors"))
+            refused.append(refuse(joint, name_term(term), "it changes together with other factors"))
             continue
         levels, codes = model.levels.get(term, ((), None))
         tests.append(run_term_test(term, y, bases, error, codes=codes, levels=levels))
@@ -131,10 +131,6 @@ def analyze_overall(rows: pd.DataFrame, machine: Machine) -> tuple[OverallAnalys
     terms = tuple(map(name_term, model.columns))
     scatter = (residuals, float(np.sqrt(error.mean_square)))
     return OverallAnalysis(joint, tuple(tests), model.degree, terms, rows, *scatter, machine), refused
-
-
-def _refuse(joint: int, analysis: str, reason: str) -> NotTestable:
-    return NotTestable(analysis, joint, None, None, None, reason)
 
 
 @dataclass(frozen=True)

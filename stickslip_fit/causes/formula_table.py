@@ -28,7 +28,7 @@ _STAGES: dict[str, Stage] = {"+": "term", "*": "factor", "=": "column"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class FormulaTableCause(FormulaTrials, TableCause):  # type: ignore[override]
+class FormulaTableCause(FormulaTrials, TableCause):
     """A formula as a cause of a table; see `FormulaTrials`."""
 
     @property

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 from math import isfinite, prod
+from operator import attrgetter
 from typing import Any, Self
 
 import numpy as np
@@ -71,6 +72,12 @@ class FormulaTrials(Cause):
     sizes: tuple[tuple[Place, Place], ...] = ()
     unresolved: tuple[str, ...] = ()
 
+    name = property(attrgetter("source.name"))
+    physics = property(attrgetter("source.physics"))
+    sentence = property(attrgetter("source.sentence"))
+    remedy = property(attrgetter("source.remedy"))
+    shows_best = property(attrgetter("source.shows_best"))
+
     @property
     def search_note(self) -> str:  # type: ignore[override]
         if not self.unresolved:
@@ -88,29 +95,9 @@ class FormulaTrials(Cause):
         return 10.0 if self.source.operation == "=" else 100.0
 
     @property
-    def name(self) -> str:  # type: ignore[override]
-        return self.source.name
-
-    @property
     def phrase(self) -> str:  # type: ignore[override]
         text = self.source.effect.text.strip()
         return self.source.phrase or _PHRASES[self.source.operation].format(text, self.source.target)
-
-    @property
-    def physics(self) -> str:  # type: ignore[override]
-        return self.source.physics
-
-    @property
-    def sentence(self) -> str:  # type: ignore[override]
-        return self.source.sentence
-
-    @property
-    def remedy(self) -> str:  # type: ignore[override]
-        return self.source.remedy
-
-    @property
-    def shows_best(self) -> str:  # type: ignore[override]
-        return self.source.shows_best
 
     @property
     def combine_trials(self) -> bool:  # type: ignore[override]

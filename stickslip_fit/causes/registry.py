@@ -11,6 +11,7 @@ from typing import Any
 
 import pandas as pd
 
+from stickslip_fit._json import to_tuples
 from stickslip_fit.causes import environment, geometry, load, position, profile, temporal
 from stickslip_fit.causes.base import Cause, ExtendedLaw
 from stickslip_fit.causes.environment import Covariate
@@ -159,7 +160,7 @@ def _restore_formula_cause(description: Mapping[str, Any], known: Mapping[str, A
             )
     else:
         own = restore_formula_cause(source)
-    bound = {key: _to_tuples(value) for key, value in description.items() if key != "name"}
+    bound = {key: to_tuples(value) for key, value in description.items() if key != "name"}
     parameters = tuple(CauseParameter(**parameter) for parameter in description["parameters"])
     return STEP_CAUSES[own.operation](**bound | {"source": own, "parameters": parameters})
 
@@ -171,7 +172,7 @@ def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -
         return OfJoints(_restore_cause(inner, known), on, others)
     if "source" in description:
         return _restore_formula_cause(description, known)
-    name, bound = description["name"], {key: _to_tuples(value) for key, value in description.items()}
+    name, bound = description["name"], {key: to_tuples(value) for key, value in description.items()}
     if name.startswith(COVARIATE_PREFIX):
         return Covariate(**{key: value for key, value in bound.items() if key != "name"})
     if name in FORMER or FORMER_FIELDS.get(name) in bound:
@@ -187,11 +188,6 @@ def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -
         )
     cause: Any = known[name]
     return replace(cause, **{field.name: bound[field.name] for field in fields(cause) if field.name in bound})
-
-
-def _to_tuples(value: Any) -> Any:
-    """Tuples in place of the lists of JSON."""
-    return tuple(map(_to_tuples, value)) if isinstance(value, list | tuple) else value
 
 
 def explain_missing(cause: Cause, rows: pd.DataFrame, machine: Machine) -> str | None:

@@ -9,7 +9,6 @@ are one family of tests, see `difference`.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._format import format_direction, step_unit
-from stickslip_fit._io import write_atomically
+from stickslip_fit._json import write_json
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.changes.difference import Difference, SessionEstimates, compare_means
@@ -136,9 +135,7 @@ class Changes(Summarized):
         InputError
             If the file cannot be written.
         """
-        text = json.dumps(_to_json(self), indent=1, ensure_ascii=False, allow_nan=False)
-        sources = [file for one in self.provenance for file in one.log_files]
-        write_atomically(path, text + "\n", sources)
+        write_json(path, _to_json(self), [file for one in self.provenance for file in one.log_files])
 
 
 def detect_changes(

@@ -141,7 +141,7 @@ def find_in_part(
     Beside unknown structure all are tried, beside a cause that one. See `Cause.restricted`.
     """
     allowed = set(misfit.log_evidence_by_cause) if likeliest == UNKNOWN else {likeliest}
-    tried = [one for one in problem.causes if one.name in allowed and hasattr(one, "restricted")]
+    tried = [one for one in problem.causes if one.name in allowed]
     versions = [part for one in tried for part in one.restricted(searched.rows)]
     if problem.autocorrelation is not None or not versions:
         return Search(None)

@@ -33,6 +33,9 @@ from stickslip_fit.units import from_si, to_si
 
 WITHOUT_EXPRESSION = ("before_joint", "session_order")  # a label, and another clock
 DIGITS = 3  # of numbers in formulas
+MODES: tuple[Mode, ...] = ("same", "opposite")
+Places = tuple[tuple[int, str], ...]
+"""Joints and directions; none for all."""
 OF_ANGLES = ("sin(x)", "cos(x)", "sin(2 x)", "cos(2 x)", "sin(3 x)", "cos(3 x)")
 
 
@@ -152,26 +155,23 @@ def build_log_dictionary(linearized: LinearizedFit, machine: JointKinds) -> Dict
     joints = [int(number) for number in np.unique(joint)]
     groups = [(number, way) for number in joints for way in "+-"]
     signs = np.array([1.0 if way == "+" else -1.0 for _, way in groups])
-    places: list[tuple[tuple[tuple[int, str], ...], Mode]] = [((), "same"), ((), "opposite")]
-    combine = [np.ones(len(groups)), signs]
-    for number in joints:
-        own = np.array([float(number == other) for other, _ in groups])
-        both = ((number, "+"), (number, "-"))
-        places += [(both, "same"), (both, "opposite")]
-        combine += [own, own * signs]
-    places += [((group,), "same") for group in groups]
-    combine += list(np.eye(len(groups)))
-    n_single, first = len(places), len(places) - len(groups)
+
+    def place_on(on: Places, mode: Mode = "same") -> tuple[Places, Mode, Array]:
+        acts = np.array([float(not on or group in on) for group in groups])
+        return on, mode, acts * signs if mode == "opposite" else acts
+
+    of_joint: list[Places] = [tuple((number, way) for way in "+-") for number in joints]
+    places = [place_on(on, mode) for on in ((), *of_joint) for mode in MODES]
+    places += [place_on((group,)) for group in groups]
+    n_single = len(places)
     # With a size for each direction: a joint's two groups, and all joints'.
-    pairs = [(first + place, first + place + 1) for place in range(0, len(groups), 2)]
-    by_direction: list[tuple[tuple[tuple[int, str], ...], Mode]] = [((), "same")]
+    pairs = [(one, one + 1) for one in range(n_single - len(groups), n_single, 2)]
+    by_direction: list[Places] = [()]
     if len(joints) > 1:
-        by_direction = [(((number, "+"), (number, "-")), "same") for number in joints]
+        by_direction = [*of_joint, ()]
         pairs.append((n_single, n_single + 1))
-        by_direction.append(((), "same"))
-        combine += [0.5 * (1.0 + signs), 0.5 * (1.0 - signs)]
-        places += [(tuple(group for group in groups if group[1] == way), "same") for way in "+-"]
-    moved = [{one for one, _ in on or groups} for on, _ in places]
+        places += [place_on(tuple(group for group in groups if group[1] == way)) for way in "+-"]
+    moved = [{one for one, _ in on or groups} for on, *_ in places]
     together = np.array([len(own) > 1 for own in moved])
     slides = np.array([any(map(machine.is_prismatic, own)) for own in moved])
     along = [[factor.expression for factor in product if factor.carrier == POSITION] for product in products]
@@ -181,7 +181,8 @@ def build_log_dictionary(linearized: LinearizedFit, machine: JointKinds) -> Dict
     largest = np.maximum(np.abs(effects).max(axis=0), np.finfo(float).tiny)
 
     def make(place: int, best: int, coefficients: Array) -> tuple[ProposedTerm, Array]:
-        each, (on, mode) = bool(place >= n_single), [*places[:n_single], *by_direction][place]
+        each, mode = bool(place >= n_single), places[place][1] if place < n_single else "same"
+        on = by_direction[place - n_single] if each else places[place][0]
         own = position_unit(min({one for one, _ in on or groups}), machine)
         factors = [
             replace(factor, shown=own) if factor.carrier == POSITION else factor for factor in products[best]
@@ -194,7 +195,7 @@ def build_log_dictionary(linearized: LinearizedFit, machine: JointKinds) -> Dict
         linearized,
         effects / largest,
         [np.flatnonzero((joint == number) & (forward == (way == "+"))) for number, way in groups],
-        np.array(combine),
+        np.array([weights for *_, weights in places]),
         (together[:, None] & of_position) | (slides[:, None] & of_turn),
         make,
         np.array([len(product) for product in products]),

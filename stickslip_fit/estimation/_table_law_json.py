@@ -7,7 +7,7 @@ from dataclasses import asdict, fields, is_dataclass
 from typing import Any
 
 from stickslip_fit._expression import parse_expression
-from stickslip_fit._json import to_plain
+from stickslip_fit._json import to_plain, to_tuples
 from stickslip_fit.causes import generic, levels, periodic, table_terms
 from stickslip_fit.causes.formula import restore_formula_cause
 from stickslip_fit.causes.formula_table import FormulaTableCause
@@ -104,15 +104,10 @@ def _restore_cause(content: Mapping[str, Any], functions: Functions, law: TableL
     restored = next((vars(module)[kind] for module in _MODULES.values() if kind in vars(module)), None)
     if not (isinstance(restored, type) and issubclass(restored, generic.GenericCause)):
         raise ValueError(f"there is no cause {kind}")
-    settings: Any = {name: _as_tuples(value) for name, value in own.items()}
+    settings: Any = {name: to_tuples(value) for name, value in own.items()}
     if issubclass(restored, levels.LevelCause):
         settings["law"] = law
     return restored(**settings)
-
-
-def _as_tuples(value: Any) -> Any:
-    """Lists, and lists in lists, as tuples."""
-    return tuple(map(_as_tuples, value)) if isinstance(value, list) else value
 
 
 def list_functions(law: Mapping[str, Any]) -> list[str]:

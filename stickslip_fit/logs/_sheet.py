@@ -110,6 +110,8 @@ def parse_sheet(raw: bytes, file: str, sheet: str | None, issues: IssueCollector
 
     Empty rows and columns are skipped. What cannot be read is added to `issues`.
     """
+    from openpyxl.utils import get_column_letter
+
     opened = _open_sheet(raw, file, sheet, issues)
     if opened is None:
         return None
@@ -136,7 +138,7 @@ def parse_sheet(raw: bytes, file: str, sheet: str | None, issues: IssueCollector
         file,
         name,
         tuple(_to_text(_pad(header, width)[place], with_time=False) for place in filled),
-        tuple(_letters(place) for place in filled),
+        tuple(get_column_letter(place + 1) for place in filled),
         header_line,
         np.array([number for number, _ in body], np.int64),
         tuple(columns[place][1:] for place in filled),
@@ -201,18 +203,3 @@ def _is_empty(cells: tuple[Any, ...]) -> bool:
 
 def _pad(cells: tuple[Any, ...], width: int) -> tuple[Any, ...]:
     return cells + (None,) * (width - len(cells))
-
-
-def _letters(place: int) -> str:
-    """What Excel calls a column that is counted from 0.
-
-    Examples
-    --------
-    >>> _letters(0), _letters(25), _letters(26), _letters(702)
-    ('A', 'Z', 'AA', 'AAA')
-    """
-    letters, rest = "", place + 1
-    while rest:
-        rest, digit = divmod(rest - 1, 26)
-        letters = chr(ord("A") + digit) + letters
-    return letters

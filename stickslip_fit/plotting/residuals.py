@@ -21,6 +21,7 @@ from stickslip_fit.diagnosis import Finding
 from stickslip_fit.diagnosis._unknown_summary import POSITION, name_carriers
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import LogInfo
+from stickslip_fit.diagnosis.linearized import rms
 from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import ResidualComparison, find_carrier
@@ -50,7 +51,6 @@ from stickslip_fit.plotting.sides import (
     draw_sides,
     envelope_entry,
     picture_sides,
-    rms,
 )
 from stickslip_fit.units import from_si
 

@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.diagnosis.finding import DataInfo, Finding
+from stickslip_fit.diagnosis.linearized import rms
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import ResidualComparison, bin_residuals, bin_values
 from stickslip_fit.errors import shorten
@@ -177,11 +178,6 @@ def find_key(kind: str, finding: Finding) -> str:
     """Of a finding's picture of some kind, unlike those of others."""
     name = finding.cause if finding.cause != UNKNOWN else f"{finding.cause} {finding.carrier}"
     return f"{kind}-" + "".join(letter if letter.isalnum() else "-" for letter in name)
-
-
-def rms(values: Array) -> float:
-    """Root mean square, shape (n,)."""
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _draw_points(

@@ -20,6 +20,7 @@ from stickslip_fit.causes.levels import LevelCause, name_levels
 from stickslip_fit.causes.roles import ORDER, ROW_NUMBER, direction_labels, direction_sign
 from stickslip_fit.diagnosis import Diagnosis, Finding, TableInfo
 from stickslip_fit.diagnosis.extension import SelectedCause
+from stickslip_fit.diagnosis.linearized import rms
 from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.residuals import (
     MAX_BINS,
@@ -50,7 +51,6 @@ from stickslip_fit.plotting.sides import (
     draw_sides,
     envelope_entry,
     picture_sides,
-    rms,
 )
 
 MAX_POINTS, MAX_PANELS = 800, 24

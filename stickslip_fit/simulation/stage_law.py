@@ -216,9 +216,7 @@ class StageLaw(StepLaw):
         """See `StepLaw.start_values`: none."""
         return np.empty((len(mean_step), 0))
 
-    def scales(self, mean_step: Array) -> Array:
-        """See `StepLaw.scales`: none."""
-        return np.empty((len(mean_step), 0))
+    scales = start_values
 
     def features(self, rows: Rows) -> Array:
         """See `StepLaw.features`: every number that it uses."""
