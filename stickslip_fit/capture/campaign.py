@@ -13,7 +13,7 @@ import itertools
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +63,7 @@ class _Place:
     uncertainty: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)
 class Homing:
     """Brings the joints into place, and knows where they stand.
 
@@ -74,7 +75,7 @@ class Homing:
     A joint is driven to a stop over the way from the farthest place at which it may stand, and no further
     than `DriveLimits` allow for that; a stop that is not detected by then is not tried again.
 
-    Parameters
+    Attributes
     ----------
     by_hand : callable
         From a joint and a position to the operator's reply, once the joint is there.
@@ -82,18 +83,11 @@ class Homing:
         Predicts the steps from a stop to a position; a joint that it has no prediction for is set by hand.
     """
 
-    def __init__(
-        self,
-        machine: Machine,
-        driver: Driver,
-        by_hand: Callable[[int, float], OperatorReply],
-        count_predictor: CountPredictor | None,
-    ) -> None:
-        self.count_predictor = count_predictor
-        self.machine = machine
-        self.driver = driver
-        self.by_hand = by_hand
-        self.known: dict[int, _Place] = {}
+    machine: Machine
+    driver: Driver
+    by_hand: Callable[[int, float], OperatorReply]
+    count_predictor: CountPredictor | None
+    known: dict[int, _Place] = field(default_factory=dict, init=False)
 
     def reached(self, joint: int, stop: float) -> None:
         """A joint stands at this stop, which was detected."""

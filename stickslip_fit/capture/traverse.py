@@ -255,24 +255,16 @@ class DriveInterruptedError(Exception):
         super().__init__(reason)
 
 
+@dataclass(frozen=True, eq=False)
 class Driver:
     """Makes drives and records them in a journal, of which `replay` is the content."""
 
-    def __init__(
-        self,
-        rig: Rig,
-        journal: Journal,
-        replay: JournalReplay,
-        operator: Operator,
-        predictor: CountPredictor | None,
-        drive_limits: DriveLimits,
-    ) -> None:
-        self.rig = rig
-        self.journal = journal
-        self.replay = replay
-        self.operator = operator
-        self.predictor = predictor
-        self.drive_limits = drive_limits
+    rig: Rig
+    journal: Journal
+    replay: JournalReplay
+    operator: Operator
+    predictor: CountPredictor | None
+    drive_limits: DriveLimits
 
     def traverse(self, row: Row, planned: int, title: str) -> tuple[PlannedDrive, int]:
         """Make a traverse of the plan, from stop to stop.

@@ -23,13 +23,10 @@ def fit_table_law(law: Any, rows: pd.DataFrame, y: Array, scale: Array) -> Array
     array, shape (n, p)
         Each row's own values, those of its session and the shared ones.
     """
-    session = _sessions(rows)
-    return minimize_table_law(law, rows, y, scale, session).values[session.of_row]
+    return minimize_table_law(law, rows, y, scale).values[_sessions(rows).of_row]
 
 
-def minimize_table_law(
-    law: Any, rows: pd.DataFrame, y: Array, scale: Array, sessions: Groups | None = None
-) -> Minimum:
+def minimize_table_law(law: Any, rows: pd.DataFrame, y: Array, scale: Array) -> Minimum:
     """The minimum of the sum of squares, weighted by 1 / scale^2, over each session's and shared parameters.
 
     Parameters
@@ -38,11 +35,8 @@ def minimize_table_law(
         With the law's columns; ``session`` names each row's session, one for all without it.
     y, scale : array, shape (n,)
         Responses and their standard deviations.
-    sessions : Groups, optional
-        Of `rows`; by default those of its column ``session``.
     """
-    sessions = _sessions(rows) if sessions is None else sessions
-    p = len(law.parameters)
+    sessions, p = _sessions(rows), len(law.parameters)
     shared = np.arange(p) >= p - law.n_shared
     start = np.tile(law.start_values(rows, y), (len(sessions), 1))
     if len(sessions) > 1 and law.n_shared == 0:

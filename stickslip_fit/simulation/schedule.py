@@ -42,6 +42,7 @@ class Course(Protocol):
 
     def bind(self, sessions: Sequence[str], traverses: int) -> Self:
         """The same for a campaign of these sessions, of so many traverses each."""
+        return self
 
 
 @dataclass(frozen=True)
@@ -120,9 +121,6 @@ class ByColumn(Course):
     def share(self, row: Row) -> Array:
         return (_numbers(row, self.column) - self.at) / self.per
 
-    def bind(self, sessions: Sequence[str], traverses: int) -> Self:
-        return self
-
 
 @dataclass(frozen=True)
 class WithUse(Course):
@@ -144,9 +142,6 @@ class WithUse(Course):
 
     def share(self, row: Row) -> Array:
         return -np.expm1(-_numbers(row, self.column) / self.scale)
-
-    def bind(self, sessions: Sequence[str], traverses: int) -> Self:
-        return self
 
 
 @dataclass(frozen=True)

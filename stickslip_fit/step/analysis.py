@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array
 from stickslip_fit.step.stage import (
     GRAVITY,
@@ -22,8 +23,6 @@ from stickslip_fit.step.stage import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from stickslip_fit._summary import Summary
-
 FACTORS = np.array([0.5, 0.5**0.5, 1.0, 2**0.5, 2.0])
 LOADS = np.linspace(-1.0, 1.0, 5)  # of the weight
 FINER = 16  # intervals between two of these, where a step takes no time to compute
@@ -32,8 +31,8 @@ SMALL = 0.01  # share, for slopes
 LATE, HARDLY = 0.02, 0.002  # share of the time and of the step
 
 
-@dataclass(frozen=True, eq=False)
-class StageAnalysis:
+@dataclass(frozen=True, eq=False, repr=False)
+class StageAnalysis(Summarized):
     """A stage's step.
 
     Attributes
@@ -78,23 +77,11 @@ class StageAnalysis:
         late = self.trace.time >= (1 - LATE) * self.trace.time[-1]
         return bool(np.ptp(self.trace.slider[late]) <= HARDLY * abs(self.step))
 
-    def summary(self) -> Summary:
-        """The step, what it depends on, and tables."""
-        from stickslip_fit._summary import summarize
-
-        return summarize(self)
-
     def plot_step(self) -> Figure:
         """Draw one step in time, and the sweeps."""
         from stickslip_fit.plotting.step import draw_step
 
         return draw_step(self)
-
-    def __repr__(self) -> str:
-        return str(self.summary())
-
-    def _repr_html_(self) -> str:
-        return self.summary().as_html()
 
 
 def analyse_stage(stage: Stage, *, progress: Callable[[str, float], None] | None = None) -> StageAnalysis:
