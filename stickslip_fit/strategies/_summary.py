@@ -341,14 +341,8 @@ def _directions_table(comparison: Comparison, joint: int) -> Table | None:
     return Table(caption, (Column("strategy", text=True), *headings), tuple(body), folded=True)
 
 
-def worst_table(comparison: Comparison, joint: int, max_rows: int = MAX_WORST) -> Table:
-    """The configurations in which each strategy errs most, as shares of the step size.
-
-    Parameters
-    ----------
-    max_rows : int, optional
-        Configurations shown of each strategy.
-    """
+def worst_table(comparison: Comparison, joint: int) -> Table:
+    """The configurations in which each strategy errs most, as shares of the step size."""
     table, unit = worst_configurations(comparison, joint), step_unit(joint, comparison.machine)
     columns = (
         *words("strategy", "configuration", "direction"),
@@ -357,7 +351,7 @@ def worst_table(comparison: Comparison, joint: int, max_rows: int = MAX_WORST) -
         *numbers("rms", "worst", unit="%"),
         Column("times scatter"),
     )
-    worst = table.groupby("strategy").head(max_rows).to_dict("records")
+    worst = table.groupby("strategy").head(MAX_WORST).to_dict("records")
     body = tuple(
         (
             strategy,

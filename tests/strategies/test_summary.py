@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from stickslip_fit._format import format_configuration
 from stickslip_fit.errors import InputError
 from stickslip_fit.plotting.strategies import _separate_times, pareto_picture
 from stickslip_fit.strategies import (
@@ -107,8 +108,8 @@ def test_the_worst_configurations_are_those_with_the_largest_errors(found):
     assert first["times_scatter"] == pytest.approx(by_hand / found.repeatability[3, "+"])
     assert subset["rms_relative"].is_monotonic_decreasing
     assert worst_table(found, 3).rows[0][:3] == ("constant step", "q2 0°, theta 0°, psi 0°", "+")
-    partial = [row[1] for row in worst_table(found, 2, 99).rows]
-    assert any(text.endswith("0° to −60°") for text in partial)
+    everywhere = worst_configurations(found, 2).to_dict("records")
+    assert any(format_configuration(row, found.machine).endswith("0° to −60°") for row in everywhere)
     row = next(row for row in worst_table(found, 3).rows if row[0] == "constant step")
     assert row[-1] == f"{by_hand / found.repeatability[3, '+']:.1f}"
     assert row[-3] == f"{100 * by_hand:.0f}"
