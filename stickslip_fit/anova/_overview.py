@@ -17,11 +17,11 @@ from stickslip_fit._format import (
     typeset_text,
 )
 from stickslip_fit._summary import Column, Table, numbers, words
-from stickslip_fit.anova._overall_summary import BY_DAY_AND_DIRECTION, name_levels
+from stickslip_fit.anova._terms_summary import BY_DAY_AND_DIRECTION, PROFILE_CHANGES, name_levels
 from stickslip_fit.anova.analysis import Anova
 from stickslip_fit.anova.factor_test import FactorTest
 from stickslip_fit.anova.position import CONFIGURATION, DAY, DIRECTION, POSITION
-from stickslip_fit.anova.term_test import TermTest, name_term
+from stickslip_fit.anova.term_test import TermTest
 
 EFFECTS = {
     "day": "from session to session",
@@ -107,11 +107,10 @@ def _overall_changes(joint: int, anova: Anova) -> list[str]:
 
 def _differing_profiles(joint: int, anova: Anova) -> list[str]:
     """Between what the profile along the travel differs, with the rms of the differences, if it does."""
-    between = {name_term((factor, POSITION)): EFFECTS[factor] for factor in (DAY, DIRECTION)}
     differing = [
-        f"{between[test.term]} ({format_percent(test.size)} rms)"
+        f"{PROFILE_CHANGES[test.term]} ({format_percent(test.size)} rms)"
         for test in _profile_of(joint, anova)
-        if test.term in between and test.is_significant
+        if test.term in PROFILE_CHANGES and test.is_significant
     ]
     return [f"along the travel in a way that differs {join_words(differing)}"] if differing else []
 

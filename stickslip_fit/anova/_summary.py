@@ -24,7 +24,6 @@ from stickslip_fit._format import (
     typeset_text,
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
-from stickslip_fit.anova._overall_summary import BY_DAY_AND_DIRECTION, conclude_overall, overall_table
 from stickslip_fit.anova._overview import (
     KEEP_APART,
     RECALIBRATE,
@@ -33,7 +32,13 @@ from stickslip_fit.anova._overview import (
     overview_table,
     write_overview,
 )
-from stickslip_fit.anova._position_summary import conclude_positions, positions_table
+from stickslip_fit.anova._terms_summary import (
+    BY_DAY_AND_DIRECTION,
+    conclude_overall,
+    conclude_positions,
+    overall_table,
+    positions_table,
+)
 from stickslip_fit.anova.analysis import Anova
 from stickslip_fit.anova.contrasts import SIGNIFICANCE_LEVEL
 from stickslip_fit.anova.designs import MAX_SESSIONS, FactorTestDesign, NotTestable

@@ -191,13 +191,11 @@ class RestrictedLikelihood:
                 return np.asarray(np.tanh(result.x))
         return start
 
-    def negative_log(self, partial: Array) -> float:
-        """Negative log likelihood, the noise's variance maximized out, but for a constant."""
-        sums = self._sums_of(len(partial))
-        return float(self._solve(sums, partial[None], _weights(sums, partial[None])).value[0])
-
     def differentiate(self, partial: Array) -> tuple[float, Array]:
-        """`negative_log` and its derivatives, shape (p,)."""
+        """Negative log likelihood but for a constant, and its derivatives, shape (p,).
+
+        The variance of the noise is maximized out.
+        """
         sums = self._sums_of(len(partial))
         steps = WEIGHT_STEP * np.eye(len(partial))
         here, ahead, behind = np.split(
