@@ -89,25 +89,27 @@ def analyze_positions(
     # A configuration that was driven over one stretch compares no positions.
     used = used[used.groupby("setting")[POSITION].transform("nunique") > 1]
     if used[POSITION].nunique() < 2:
-        return None, [_refuse(joint, POSITION, _explain_few(named))]
+        return None, [refuse(joint, POSITION, _explain_few(named))]
     model = PositionModel(used, classed)
     if model.n_columns > MAX_COLUMNS:
         used = used[used["setting"] == used["setting"].value_counts().index[0]]
         model = PositionModel(used, classed)
     if model.n_columns > MAX_COLUMNS:
-        reason = "too many stretches and sessions at once; select fewer by date"
-        return None, [_refuse(joint, POSITION, reason)]
+        return None, [
+            refuse(joint, POSITION, "too many stretches and sessions at once; select fewer by date")
+        ]
     results = {term: model.test(term) for term in ASKED if set(term) <= set(model.factors)}
     tests = tuple(result for result in results.values() if isinstance(result, TermTest))
     if isinstance(results[(POSITION,)], str) and not tests:
-        return None, [_refuse(joint, POSITION, _explain_confounded(named))]
-    refused = [_refuse(joint, name_term(term), r) for term, r in results.items() if isinstance(r, str)]
+        return None, [refuse(joint, POSITION, _explain_confounded(named))]
+    refused = [refuse(joint, name_term(term), r) for term, r in results.items() if isinstance(r, str)]
     ordered = tuple(used.sort_values("middle")[POSITION].unique())
     n_left_out = len(rows) - len(used)
     return PositionAnalysis(joint, tests, ordered, not classed, used, n_left_out, machine), refused
 
 
-def _refuse(joint: int, analysis: str, reason: str) -> NotTestable:
+def refuse(joint: int, analysis: str, reason: str) -> NotTestable:
+    """What cannot be tested of a joint, and why."""
     return NotTestable(analysis, joint, None, None, None, reason)
 
 
