@@ -49,6 +49,7 @@ MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out
 COMMON = 0.8  # of the variance of functions of sessions, where they have one in common
 SOME_VALUES = 1000  # of a carrier, among which distinct ones are counted first
 MAX_NESTED = 240  # coefficients of such functions
+LOWEST, LOAD_ORDERS = ((1, 1),), 4  # orders of products, and of a coordinate with which a load may count
 # Distinct values of a carrier with which it has all functions.
 ENOUGH_DISTINCT = 2 + len(prior_sds(min(LENGTHS) / (1.0 + 2.0 * BEYOND)))
 
@@ -81,10 +82,15 @@ class Carrier:
             waves[:, k] = traverse_average(cosine * known)
         return waves
 
+    def wave(self, order: int) -> Array:
+        """A cosine along each traverse, shape (n, k) or (n, 1); 0 where it is unknown."""
+        if order not in self._waves:
+            self._waves[order] = np.nan_to_num(cosines(self.values, self.low, self.high, order)[..., -1])
+        return self._waves[order]
+
     @cached_property
-    def lowest_wave(self) -> Array:
-        """The first cosine along each traverse, shape (n, k) or (n, 1); 0 where it is unknown."""
-        return np.nan_to_num(cosines(self.values, self.low, self.high, 1)[..., 0])
+    def _waves(self) -> dict[int, Array]:
+        return {}
 
 
 def traverse_average(values: Array) -> Array:
@@ -145,10 +151,9 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
             for length in _lengths(carrier)
         ),
         *(
-            (f"product of {one.name} and {other.name}", *_product(one, other))
+            (f"product of {one.name} and {other.name}", *_product(one, other, orders))
             for one, other in combinations(carriers, 2)
-            if not {one.name, other.name} & {*FURTHER_HISTORY}
-            and {one.name, other.name} & {LOAD, POSITION, *ANGLES}
+            for orders in _interactions(one.name, other.name)
         ),
     ]
     profiles = [
@@ -219,11 +224,30 @@ def _smooth_functions(carrier: Carrier, length: float) -> tuple[SmoothTerm, Arra
     return term, carrier.waves(len(sds)) * sds
 
 
-def _product(one: Carrier, other: Carrier) -> tuple[SmoothTerm, Array]:
-    """The product of the lowest function of two carriers, and its column, shape (n, 1)."""
+def _interactions(one: str, other: str) -> Sequence[tuple[tuple[int, int], ...]]:
+    """Orders of the products of two carriers' functions that are looked for; none of the traverse before.
+
+    Of any carrier with a coordinate or the load, and of two columns of the log, that of the lowest functions.
+    What turns with two joints, as cos(q1 + q2), and a load that counts more at some positions have more.
+    """
+    both = {one, other}
+    if both & {*FURTHER_HISTORY}:
+        return ()
+    coordinates = both & {POSITION, *ANGLES}
+    if len(coordinates) == 2:
+        return LOWEST, ((1, 1), (1, 2), (2, 1), (2, 2))
+    if coordinates and LOAD in both:
+        return LOWEST, tuple((1, k) if one == LOAD else (k, 1) for k in range(1, LOAD_ORDERS + 1))
+    of_log = [name in CONDITIONS or name.startswith(COVARIATE_PREFIX) for name in (one, other)]
+    return (LOWEST,) if coordinates or LOAD in both or all(of_log) else ()
+
+
+def _product(one: Carrier, other: Carrier, orders: tuple[tuple[int, int], ...]) -> tuple[SmoothTerm, Array]:
+    """Products of functions of two carriers, and their columns, shape (n, number of orders)."""
     limits = ((one.low, one.high), (other.low, other.high))
-    term = SmoothTerm((one.name, other.name), limits, ((1, 1),))
-    return term, SMOOTH_SCALE * traverse_average(one.lowest_wave * other.lowest_wave)[:, None]
+    term = SmoothTerm((one.name, other.name), limits, orders, (SMOOTH_SCALE,) * len(orders))
+    columns = [traverse_average(one.wave(first) * other.wave(second)) for first, second in orders]
+    return term, SMOOTH_SCALE * np.stack(columns, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
