@@ -27,6 +27,7 @@ from stickslip_fit.units import COORDINATE_UNITS, from_si, share_per
 
 ANGLES = ("q1", "q2", "q3", "theta", "psi")  # the joint's own excepted, which is the position
 POSITION, LOAD, BEFORE_DIRECTION = "position", "load", "before_direction"
+LENGTH = "own_length"  # of the traverse, rad or m
 PAUSES = ("pause", "joint_pause")  # s, of which a function follows the logarithm
 FORMULA_NAMES = {"session_seconds": "session time"} | {
     name: f"log(1 + {name.replace('_', ' ')} / s)" for name in PAUSES
@@ -44,6 +45,8 @@ def carrier_values(state: State, carrier: str) -> Array:
         return state.position
     if carrier == LOAD:
         return state.load
+    if carrier == LENGTH:
+        return np.abs(state.column("stop") - state.column("start"))
     if carrier == f"q{state.joint}":
         return np.full((len(state.position), 1), np.nan)
     if carrier in ANGLES:
@@ -56,8 +59,8 @@ def carrier_values(state: State, carrier: str) -> Array:
 
 
 def carrier_columns(carrier: str) -> tuple[str, ...]:
-    """The column of a log in which a carrier is; none of what follows from the pose and the joint."""
-    return () if carrier in (*ANGLES, POSITION, LOAD) else (carrier,)
+    """The column of a log in which a carrier is; none of what follows from the traverse itself."""
+    return () if carrier in (*ANGLES, POSITION, LOAD, LENGTH) else (carrier,)
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from stickslip_fit.diagnosis import Diagnosis
 
-POSITION, LOAD = "position", "load"
+POSITION, LOAD, LENGTH = "position", "load", "own_length"
 PERIOD_OF, SETTINGS_OF = "period of ", "settings of "  # with which some carriers begin
 MIN_EXPLAINED, MAX_EXPLAINING = 0.05, 5  # share of a structure; causes in the table
 MIN_CLOSE = 0.1  # share of a structure that a cause explains, from which it is called close
@@ -67,6 +67,7 @@ COLUMN_WORDS = {
     "steps_before": "the joint's own steps so far",
     "step_period": "the step period",
     POSITION: "the joint's own position",
+    LENGTH: "the length of the traverse",
     LOAD: "the load",
 }
 
@@ -316,6 +317,10 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
     if name == POSITION:
         joint = int(row["joint"])
         return f"q{joint} about {format_position(float(row['start'] + row['stop']) / 2, joint, machine)}"
+    if name == LENGTH:
+        return (
+            f"{label} {format_position(abs(float(row['stop'] - row['start'])), int(row['joint']), machine)}"
+        )
     if name == LOAD:
         ends = (float(row[end]) for end in ("start", "stop"))
         angles = (np.array([row[name]], dtype=float) for name in ("q1", "q2", "theta", "psi"))

@@ -18,6 +18,7 @@ from stickslip_fit._format import coordinate_unit, position_unit
 from stickslip_fit._typing import Array, BoolArray, IntArray, JointKinds
 from stickslip_fit.causes.proposed import (
     BEFORE_DIRECTION,
+    LENGTH,
     LOAD,
     POSITION,
     CarrierFunction,
@@ -31,7 +32,8 @@ from stickslip_fit.logs.history import FURTHER_HISTORY
 from stickslip_fit.logs.schema import CONDITIONS, is_coordinate
 from stickslip_fit.units import from_si, to_si
 
-WITHOUT_EXPRESSION = ("before_joint", "session_order")  # a label, and another clock
+# A label, another clock, and what has another unit in each joint.
+WITHOUT_EXPRESSION = ("before_joint", "session_order", LENGTH)
 DIGITS = 3  # of numbers in formulas
 MODES: tuple[Mode, ...] = ("same", "opposite")
 Places = tuple[tuple[int, str], ...]

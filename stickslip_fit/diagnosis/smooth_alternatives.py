@@ -1,8 +1,8 @@
 """Smooth unstructured alternatives: in every coordinate, every column of history and log, and in pairs.
 
 Each is a Gaussian process over one carrier (`causes.proposed`): of the whole machine, opposite by direction,
-by joint, by direction of a joint, and independent for each of these; products of two carriers have one
-direction each. Which carriers there are and which vary follows from the rows. Effects of single joints are
+by joint, by direction of a joint, and independent for each of these; products of two carriers have few
+directions each. Which carriers there are and which vary follows from the rows. Effects of single joints are
 stored for their rows only, and what is independent for each joint and direction shares their directions.
 """
 
@@ -19,6 +19,7 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import (
     ANGLES,
     BEFORE_DIRECTION,
+    LENGTH,
     LOAD,
     POSITION,
     SMOOTH_SCALE,
@@ -48,6 +49,7 @@ MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below wh
 MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out
 COMMON = 0.8  # of the variance of functions of sessions, where they have one in common
 SOME_VALUES = 1000  # of a carrier, among which distinct ones are counted first
+MIN_LENGTHS = 0.05  # of the longest traverse, by which lengths differ
 MAX_NESTED = 240  # coefficients of such functions
 LOWEST, LOAD_ORDERS = ((1, 1),), 4  # orders of products, and of a coordinate with which a load may count
 # Distinct values of a carrier with which it has all functions.
@@ -107,7 +109,7 @@ def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
     history += [name for name in FURTHER_OF_TRAVERSE if name in rows and rows[name].notna().any()]
     # A machine without the published geometry has no gravity load.
     load = (LOAD,) if rows["before_load"].notna().any() else ()
-    names = dict.fromkeys((*ANGLES, *position_columns(rows), *load, POSITION, *columns, *history))
+    names = dict.fromkeys((*ANGLES, *position_columns(rows), *load, POSITION, LENGTH, *columns, *history))
     states = []
     for part, table in zip(linearized.parts, linearized.tables, strict=True):
         joint = getattr(part.law, "joint", None)
@@ -147,7 +149,7 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         *(
             (carrier.name, *_smooth_functions(carrier, length))
             for carrier in carriers
-            if carrier.name not in (LOAD, POSITION)
+            if carrier.name not in (LOAD, POSITION, LENGTH)
             for length in _lengths(carrier)
         ),
         *(
@@ -158,7 +160,7 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
     ]
     profiles = [
         (place, joint, *_smooth_functions(carrier, length))
-        for joint, carrier in _positions(linearized, carriers)
+        for joint, carrier in _of_each_joint(linearized, carriers, POSITION)
         for place, length in enumerate(_lengths(carrier))
     ]
     builder = _Builder(linearized)
@@ -167,6 +169,11 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         effects = builder.effects(functions)
         hypotheses += builder.shapes(name, term, effects)
         hypotheses += builder.by_session(name, term, effects) if name in ANGLES else []
+    for joint, carrier in _of_each_joint(linearized, carriers, LENGTH):
+        if carrier.high - carrier.low > MIN_LENGTHS * carrier.high:
+            for length in _lengths(carrier):
+                term, functions = _smooth_functions(carrier, length)
+                hypotheses += builder.of_joint(joint, LENGTH, term, builder.effects(functions))[0]
     by_shape: dict[tuple[int, str], list[Hypothesis]] = {}
     for place, joint, term, functions in profiles:
         for ending, one in builder.profiles(joint, term, builder.effects(functions)).items():
@@ -197,13 +204,15 @@ def _join_profiles(ending: str, profiles: Sequence[Hypothesis]) -> Hypothesis | 
     )
 
 
-def _positions(linearized: LinearizedFit, carriers: Sequence[Carrier]) -> Iterator[tuple[int, Carrier]]:
-    """The position of each joint, over its own travel."""
+def _of_each_joint(
+    linearized: LinearizedFit, carriers: Sequence[Carrier], name: str
+) -> Iterator[tuple[int, Carrier]]:
+    """The position of each joint or the length of its traverses, over its own range."""
     joint = linearized.rows["joint"].to_numpy()
     for carrier in carriers:
-        for number in map(int, np.unique(joint)) if carrier.name == POSITION else ():
+        for number in map(int, np.unique(joint)) if carrier.name == name else ():
             own = np.where((joint == number)[:, None], carrier.values, np.nan)
-            if (of_joint := _make_carrier(POSITION, own)) is not None:
+            if (of_joint := _make_carrier(name, own)) is not None:
                 yield number, of_joint
 
 
@@ -225,13 +234,13 @@ def _smooth_functions(carrier: Carrier, length: float) -> tuple[SmoothTerm, Arra
 
 
 def _interactions(one: str, other: str) -> Sequence[tuple[tuple[int, int], ...]]:
-    """Orders of the products of two carriers' functions that are looked for; none of the traverse before.
+    """Orders of the products of two carriers' functions that are looked for.
 
     Of any carrier with a coordinate or the load, and of two columns of the log, that of the lowest functions.
     What turns with two joints, as cos(q1 + q2), and a load that counts more at some positions have more.
     """
     both = {one, other}
-    if both & {*FURTHER_HISTORY}:
+    if both & {LENGTH, *FURTHER_HISTORY}:
         return ()
     coordinates = both & {POSITION, *ANGLES}
     if len(coordinates) == 2:
@@ -310,23 +319,31 @@ class _Builder:
             one_way = self.subspace(effects, None, np.flatnonzero(self.sign == sign))
             found.append(self.make(f"{name}, {direction} only", replace(term, on=on), [one_way]))
         groups: dict[tuple[int, str], _Subspace] = {}
-        for joint, rows in self.rows_of.items():
-            both, label = ((joint, "+"), (joint, "-")), f"{name}, joint {joint}"
-            found.append(self.make(label, replace(term, on=both), [self.subspace(effects, None, rows)]))
-            own = {}
-            for group, sign in zip(both, (1.0, -1.0), strict=True):
-                way = self.subspace(effects, None, rows[self.sign[rows] == sign])
-                found.append(self.make(f"{label} {group[1]}", replace(term, on=(group,)), [way]))
-                if way is not None:
-                    own[group] = way
-            if len(own) > 1:
-                each = replace(term, on=tuple(own), each=True)
-                found.append(self.make(f"{label}, each direction", each, list(own.values())))
+        for joint in self.rows_of:
+            ways, own = self.of_joint(joint, name, term, effects)
+            found += ways
             groups |= own
         if len(groups) > 1:
             each = replace(term, on=tuple(groups), each=True)
             found.append(self.make(f"{name}, each joint and direction", each, list(groups.values())))
         return [one for one in found if one is not None]
+
+    def of_joint(
+        self, joint: int, name: str, term: SmoothTerm, effects: _Effects
+    ) -> tuple[list[Hypothesis], dict[tuple[int, str], _Subspace]]:
+        """The same of one joint, in both directions and in each; the latter also by themselves."""
+        rows, both, label = self.rows_of[joint], ((joint, "+"), (joint, "-")), f"{name}, joint {joint}"
+        found = [self.make(label, replace(term, on=both), [self.subspace(effects, None, rows)])]
+        own = {}
+        for group, sign in zip(both, (1.0, -1.0), strict=True):
+            way = self.subspace(effects, None, rows[self.sign[rows] == sign])
+            found.append(self.make(f"{label} {group[1]}", replace(term, on=(group,)), [way]))
+            if way is not None:
+                own[group] = way
+        if len(own) > 1:
+            each = replace(term, on=tuple(own), each=True)
+            found.append(self.make(f"{label}, each direction", each, list(own.values())))
+        return [one for one in found if one is not None], own
 
     def by_session(self, name: str, term: SmoothTerm, effects: _Effects) -> list[Hypothesis]:
         """Functions that differ from session to session, by joint."""

@@ -18,7 +18,7 @@ from stickslip_fit._format import coordinate_unit, format_percent, joint_name, p
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.position import is_reversed
 from stickslip_fit.diagnosis import Finding
-from stickslip_fit.diagnosis._unknown_summary import POSITION, name_carriers
+from stickslip_fit.diagnosis._unknown_summary import LENGTH, POSITION, name_carriers
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import LogInfo
 from stickslip_fit.diagnosis.linearized import rms
@@ -306,6 +306,8 @@ def _find_carrier_values(
     label, values = _own_position(rows, subset, machine)
     if POSITION in carriers or (selected.version is not None and follows_position(selected.version)):
         return label, values
+    if LENGTH in carriers:
+        return _own_length(rows, subset, machine)
     if any(_varies(values[subset & (rows["joint"] == joint).to_numpy()]) for joint in rows["joint"].unique()):
         columns = {label: values} | columns  # first: a coordinate of one joint is a setting of the others
     own = [find_label(column) for column in getattr(selected.version, "columns", ())]
@@ -321,14 +323,26 @@ def _find_carrier_values(
 
 def _own_position(rows: pd.DataFrame, subset: BoolArray, machine: Machine) -> tuple[str, Array]:
     """The middle of each traverse along its own joint's travel, in that joint's unit."""
-    joint = rows["joint"].to_numpy()
-    middle, values = ((rows["start"] + rows["stop"]) / 2).to_numpy(float), np.empty(len(rows))
-    names = {int(one): f"q{one}" for one in np.unique(joint[subset])}
-    for one in np.unique(joint):
-        values[joint == one] = from_si(middle[joint == one], coordinate_unit(f"q{one}", machine))
-    units = dict.fromkeys(coordinate_unit(name, machine).replace("deg", "°") for name in names.values())
-    name = next(iter(names.values())) if len(names) == 1 else "own position"
-    return f"{name} ({' or '.join(units)})", values
+    middle = ((rows["start"] + rows["stop"]) / 2).to_numpy(float)
+    names = [f"q{one}" for one in np.unique(rows["joint"].to_numpy()[subset])]
+    return _in_own_unit(names[0] if len(names) == 1 else "own position", middle, rows, subset, machine)
+
+
+def _own_length(rows: pd.DataFrame, subset: BoolArray, machine: Machine) -> tuple[str, Array]:
+    length = (rows["stop"] - rows["start"]).abs().to_numpy(float)
+    return _in_own_unit("length of the traverse", length, rows, subset, machine)
+
+
+def _in_own_unit(
+    name: str, values: Array, rows: pd.DataFrame, subset: BoolArray, machine: Machine
+) -> tuple[str, Array]:
+    """Positions or lengths, SI, in the unit of each traverse's joint; the label has those of a subset."""
+    joint, shown = rows["joint"].to_numpy(), np.empty(len(rows))
+    unit_of = {int(one): coordinate_unit(f"q{one}", machine) for one in np.unique(joint)}
+    for one, unit in unit_of.items():
+        shown[joint == one] = from_si(values[joint == one], unit)
+    units = dict.fromkeys(unit_of[int(one)].replace("deg", "°") for one in np.unique(joint[subset]))
+    return f"{name} ({' or '.join(units)})", shown
 
 
 def _is_proposal(selected: SelectedCause) -> bool:
