@@ -30,6 +30,7 @@ from stickslip_fit.estimation.noise import (
     NoiseLevel,
     estimate_from_replicates,
     flag_missing_error_bars,
+    interval_half_widths,
     quadratic_interval,
     row_variance,
 )
@@ -193,7 +194,7 @@ def _calibrate_joint(
     covariance = _propagate_covariance(law, rows, picked, values, variance)
     df = np.array([repeatability[direction].df for direction in groups.table["direction"]])
     covariance[df < 1] = np.nan
-    interval = quadratic_interval(values, covariance, groups.table, repeatability)
+    interval = quadratic_interval(values, covariance, interval_half_widths(groups.table, repeatability))
     identified, travel = np.isfinite(values), driven_stretches(rows)
     fit = JointFit(law, groups.table, values, identified, covariance, interval, repeatability, travel=travel)
     if known is None:

@@ -20,6 +20,8 @@ from stickslip_fit.logs.schema import ORIENTATION
 from stickslip_fit.machine import Machine
 from stickslip_fit.units import from_si
 
+ROUNDING = 1e-12  # of a share
+
 
 def identifiable_parameters(
     curvature: Array, scales: Array
@@ -39,7 +41,8 @@ def identifiable_parameters(
     rank : array of int, shape (g,)
         How many combinations of parameters are known.
     covariance : array, shape (g, p, p)
-        Pseudo-inverse of the curvature, SI: right for every combination that the log knows.
+        Pseudo-inverse of the curvature, SI: right for every combination that the log knows, 0 where none has
+        the parameter.
     """
     scaled = curvature * scales[:, :, None] * scales[:, None, :]
     eigenvalue, vector = np.linalg.eigh(scaled)
@@ -47,7 +50,9 @@ def identifiable_parameters(
     seen = eigenvalue > RANK_TOL**2 * top
     unseen_share = np.sum(np.where(seen[:, None, :], 0.0, vector**2), axis=2)
     inverse = np.where(seen, 1.0 / np.where(seen, eigenvalue, 1.0), 0.0)
-    covariance = np.einsum("gik,gk,gjk->gij", vector, inverse, vector)
+    # What no row shows at all has no error bar; rounding would give it one, another in each group.
+    shown = (unseen_share < 1.0 - ROUNDING)[:, :, None]
+    covariance = np.einsum("gik,gk,gjk->gij", vector * shown, inverse, vector * shown)
     return unseen_share < 1e-6, seen.sum(axis=1), covariance * scales[:, :, None] * scales[:, None, :]
 
 

@@ -39,6 +39,7 @@ from stickslip_fit.estimation.noise import (
     one_sided_intervals,
     quadratic_interval,
     row_variance,
+    t_quantile,
 )
 from stickslip_fit.estimation.result import JointFit, Result, build_provenance
 from stickslip_fit.estimation.reweighting import ConvergedFit, flag_outliers, from_residuals, iterate_weights
@@ -207,22 +208,48 @@ def _joint_results(
     if minimum.at_bound.any():
         unbounded = whole.curvature(slopes, fit.information)
     gradient = whole.gradient(slopes, fit.weight * minimum.residual)
+    common = _common_half_widths(fit, slopes)
     return [
-        _joint_result(fit, number, curvature, unbounded, gradient, machine, options)
+        _joint_result(fit, number, common, curvature, unbounded, gradient, machine, options)
         for number in range(len(fit.joints))
     ]
+
+
+def _common_half_widths(fit: ConvergedFit, slopes: Array) -> Array:
+    """Half-widths of the intervals of the causes' parameters in standard errors, shape (q,).
+
+    Their degrees of freedom are those of the noise of all joints and directions, each with its share of the
+    information (F. E. Satterthwaite, Biometrics Bulletin 2, 110, 1946).
+    """
+    if isinstance(fit.whole, JointProblem):
+        return np.zeros(0)
+    squares = fit.information[:, None] * slopes[:, fit.whole.sharing.parameters] ** 2
+    total, spread = np.zeros((2, squares.shape[1]))
+    for number, problem in enumerate(fit.joints):
+        for direction, level in fit.repeatability[number].items():
+            if level.df > 0:  # else its rows take the noise of others
+                own = squares[fit.rows(number)][(problem.rows["direction"] == direction).to_numpy()].sum(
+                    axis=0
+                )
+                total, spread = total + own, spread + own**2 / level.df
+    seen = spread > 0  # what no count shows, such as the moment of a jump, has no error to reach
+    return np.array([t_quantile(df) for df in np.where(seen, total**2 / np.where(seen, spread, 1.0), 1.0)])
 
 
 def _joint_result(
     fit: ConvergedFit,
     number: int,
+    common: Array,
     all_curvature: Array,
     all_unbounded: Array,
     all_gradient: Array,
     machine: Machine,
     options: FitOptions,
 ) -> tuple[JointFit, Array, list[Flag]]:
-    """See `_joint_results`; curvature with and without active bounds, and gradient, are of all joints."""
+    """See `_joint_results`; curvature with and without active bounds, and gradient, are of all joints.
+
+    `common` are the half-widths of the last parameters' intervals, shape (q,), which are those of all joints.
+    """
     problem, minimum, repeatability = fit.joints[number], fit.minimum_of(number), fit.repeatability[number]
     law, groups, values, at_bound = problem.law, problem.groups, minimum.values, minimum.at_bound
     place, columns = fit.groups(number), fit.columns(number)
@@ -230,9 +257,11 @@ def _joint_result(
     known, _, covariance = identifiable_parameters(curvature, problem.scales)
     known |= at_bound | _not_applicable(law)
     covariance *= ~(at_bound[:, :, None] | at_bound[:, None, :])
-    reach = interval_half_widths(groups.table, repeatability)
-    covariance[np.isnan(reach)] = np.nan
-    interval = quadratic_interval(values, covariance, groups.table, repeatability)
+    by_group = interval_half_widths(groups.table, repeatability)
+    covariance[np.isnan(by_group[:, 0])] = np.nan
+    reach = np.tile(by_group, values.shape[1])
+    reach[:, values.shape[1] - len(common) :] = common
+    interval = quadratic_interval(values, covariance, reach)
     if at_bound.any():
         _, _, unbounded = identifiable_parameters(
             all_unbounded[place][:, columns[:, None], columns], problem.scales
@@ -395,7 +424,7 @@ def _profile_joint(fit: JointFit, rows: pd.DataFrame) -> Array:
     scales = law.scales(mean_step_sizes(groups, rows, y))
     model = law.model(rows)
     least = groups.sums(weight * (y - model(fit.values[groups.of_row])[0]) ** 2)
-    reach = interval_half_widths(groups.table, fit.repeatability)
+    reach = interval_half_widths(groups.table, fit.repeatability)[:, 0]
     ends = np.full((*fit.values.shape, 2), np.nan)
     for index in range(fit.values.shape[1]):
         for side, sign in enumerate((-1.0, 1.0)):

@@ -250,25 +250,21 @@ def flag_doubtful_repeatability(
 COVERAGE = 0.95
 
 
-def quadratic_interval(
-    values: Array, covariance: Array, groups: pd.DataFrame, repeatability: dict[str, NoiseLevel]
-) -> Array:
-    """Estimate, shape (g, p), plus and minus Student's t times its standard error, shape (g, p, 2).
+def quadratic_interval(values: Array, covariance: Array, reach: Array) -> Array:
+    """Estimate, shape (g, p), plus and minus `reach` times its standard error, shape (g, p, 2).
 
-    The degrees of freedom are those of each group's direction; NaN where there is no error bar.
+    `reach` has shape (g, 1) or (g, p); NaN where there is no error bar.
     """
-    half = interval_half_widths(groups, repeatability)[:, None] * np.sqrt(
-        np.diagonal(covariance, axis1=1, axis2=2)
-    )
+    half = reach * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     return np.stack([values - half, values + half], axis=-1)
 
 
 def interval_half_widths(groups: pd.DataFrame, repeatability: dict[str, NoiseLevel]) -> Array:
-    """Half-width of each group's intervals in standard errors, shape (g,)."""
-    return np.array([t_quantile(repeatability[direction].df) for direction in groups["direction"]])
+    """Half-width of each group's intervals in standard errors, shape (g, 1)."""
+    return np.array([[t_quantile(repeatability[direction].df)] for direction in groups["direction"]])
 
 
-def t_quantile(df: int) -> float:
+def t_quantile(df: float) -> float:
     """Half-width of a 95 % interval in standard errors.
 
     Examples
@@ -314,11 +310,11 @@ def one_sided_intervals(
     at_bound : array of bool, shape (g, p)
     covariance : array, shape (g, p, p)
         Without the bounds.
-    reach : array, shape (g,)
+    reach : array, shape (g, 1) or (g, p)
         Half-width of the intervals in standard errors.
     """
     variance = np.diagonal(covariance, axis1=1, axis2=2)[at_bound]
-    reach = np.broadcast_to(reach[:, None], values.shape)[at_bound]
+    reach = np.broadcast_to(reach, values.shape)[at_bound]
     inwards = np.where((values <= lower)[at_bound], 1.0, -1.0)
     ends = values[at_bound] + inwards * distance_from_bound(neg_gradient[at_bound], variance, reach)
     return np.sort(np.stack([values[at_bound], ends], axis=-1), axis=-1)

@@ -324,9 +324,12 @@ def _check_common_values(fits: Sequence[JointFit]) -> None:
 def _estimates_of(fit: JointFit, group: int, columns: list[int]) -> Array:
     """Value, whether it is known, and covariance of some parameters, shape (p, 2 + p).
 
-    Their intervals may differ: each group's noise has its own degrees of freedom.
+    In files of earlier versions their intervals may differ, by the degrees of freedom of each group's noise,
+    and the moment of a sudden change has a variance, of rounding.
     """
     covariance = fit.covariance[group][np.ix_(columns, columns)]
+    sudden = [getattr(fit.law.parameters[column], "sudden", False) for column in columns]
+    covariance[sudden] = covariance[:, sudden] = 0.0
     return np.column_stack([fit.values[group, columns], fit.known[group, columns], covariance])
 
 

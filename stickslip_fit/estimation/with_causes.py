@@ -27,7 +27,7 @@ from stickslip_fit.estimation._problem import (
     combined_problem,
     single_problem,
 )
-from stickslip_fit.estimation.noise import Flag, quadratic_interval
+from stickslip_fit.estimation.noise import Flag, interval_half_widths, quadratic_interval
 from stickslip_fit.estimation.result import ALL_JOINTS, JointFit, Result
 from stickslip_fit.estimation.travel import Stretches, unite_travel
 from stickslip_fit.laws import Configuration, Rows, State, StepLaw
@@ -479,7 +479,7 @@ def release_causes(fit: JointFit, known: FixedCauses, sensitivity: Array) -> Joi
     covariance = both @ known.covariance @ both.swapaxes(1, 2)
     covariance[:, :own, :own] += fit.covariance
     values = law.whole(fit.values)
-    interval = quadratic_interval(values, covariance, fit.groups, fit.repeatability)
+    interval = quadratic_interval(values, covariance, interval_half_widths(fit.groups, fit.repeatability))
     interval[:, own:] = known.interval
     is_known = np.concatenate([fit.known, np.ones((groups, q), dtype=bool)], axis=1)
     travel = unite_travel(fit.travel, known.travel.get(law.joint, {}))

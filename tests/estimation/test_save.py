@@ -5,9 +5,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from stickslip_fit.causes import SessionJump, ThermalWarmUp
 from stickslip_fit.causes.proposed import SmoothTerm
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_closed_form, fit_least_squares, load_result
+from stickslip_fit.estimation.noise import t_quantile
+from tests.conftest import CALIBRATION_3
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +77,46 @@ def test_a_law_whose_groups_do_not_all_have_error_bars_comes_back(smooth, tmp_pa
     back = load_result(tmp_path / "law.json").joints[joint].covariance
     assert np.isnan(back[0]).all()
     assert np.isfinite(back[1:]).all()
+
+
+@pytest.fixture(scope="module")
+def jumped(campaign, read_table):
+    """A fit with a jump and a warm-up, the directions having different degrees of freedom."""
+    table = campaign(settings=CALIBRATION_3)
+    return fit_least_squares(
+        read_table(table.drop(index=table.index[table["direction"] == "-"][:3])),
+        causes=[SessionJump(session="2012-03-06"), ThermalWarmUp()],
+    )
+
+
+def test_what_all_groups_share_has_one_interval(jumped, tmp_path):
+    (fit,) = jumped.joints.values()
+    dfs = [level.df for level in fit.repeatability.values()]
+    assert len({*dfs}) == 2
+    causes = slice(-len(fit.cause_parameters), None)
+    interval, variance = fit.interval[:, causes], np.diagonal(fit.covariance, axis1=1, axis2=2)[:, causes]
+    np.testing.assert_allclose(interval, np.broadcast_to(interval[0], interval.shape), rtol=1e-9)
+    jump, moment, warm_up, _ = (interval[0, :, 1] - fit.values[0, causes]) / np.sqrt(
+        np.where(variance[0] > 0, variance[0], np.nan)
+    )
+    assert np.isnan(moment)  # it has no error bar, in no group
+    assert not variance[:, 1].any()
+    for reach in (jump, warm_up):
+        assert t_quantile(sum(dfs)) <= reach < t_quantile(min(dfs))
+    jumped.save(tmp_path / "law.json")
+    pd.testing.assert_frame_equal(load_result(tmp_path / "law.json").parameters, jumped.parameters)
+
+
+def test_a_law_with_rounding_for_the_variance_of_a_moment_is_read(jumped, tmp_path):
+    """As in files of earlier versions, which also gave shared parameters each direction's interval."""
+    ((joint, fit),) = jumped.joints.items()
+    covariance, interval = fit.covariance.copy(), fit.interval.copy()
+    moment = covariance.shape[1] - len(fit.cause_parameters) + 1
+    covariance[:, moment, moment] = 1e-27 * np.arange(len(covariance))
+    interval[1::2, -1] += [-1.0, 1.0]
+    saved = replace(jumped, joints={joint: replace(fit, covariance=covariance, interval=interval)})
+    saved.save(tmp_path / "law.json")
+    pd.testing.assert_frame_equal(load_result(tmp_path / "law.json").parameters, saved.parameters)
 
 
 def test_an_unknown_number_is_null(campaign, tmp_path, read_table):
