@@ -56,6 +56,13 @@ def name_levels(cells: Any) -> Array:
     return values.astype(object).astype(str)
 
 
+def _is_number(label: str) -> bool:
+    try:
+        return bool(np.isfinite(float(label)))
+    except ValueError:
+        return False
+
+
 def find_levels(cells: pd.Series) -> tuple[str, ...]:
     """The labels of a column in their order of appearance.
 
@@ -117,12 +124,24 @@ class LevelCause(CovariateCause):
 
     @property
     def remedy(self) -> str:  # type: ignore[override]
-        return f"calibrating for each {self.column}"
+        return f"calibrating {self._at_each}"
+
+    @property
+    def _at_each(self) -> str:
+        """The levels in words: numbers are values of a quantity, or of what has numbers for names."""
+        are_numbers = all(map(_is_number, self.levels))
+        return f"at each value of {self.column}" if are_numbers else f"for each {self.column}"
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         others = join_words(list(self.levels[1:]), "or")
         own = {"d": sizes["d"]} if "d" in sizes else {}
-        return {**own, "column": self.column, "first": self.levels[0], "others": others}
+        return {
+            **own,
+            "column": self.column,
+            "at_each": self._at_each,
+            "first": self.levels[0],
+            "others": others,
+        }
 
     def find_unknown(self, frame: pd.DataFrame) -> list[InputIssue]:
         """What keeps rows from being predicted: no such column, or a value of it that was never fitted."""
@@ -229,7 +248,7 @@ class LevelDependence(LevelCause, AddedTerm):
                 "The response is {d:higher|lower} by {d} where {column} is {others} than where it is {first}"
             )
         return (
-            "The response is not the same for every {column}: about {apart} apart from {lowest}, where it is "
+            "The response is not the same {at_each}: about {apart} apart from {lowest}, where it is "
             "lowest, to {highest}"
         )
 
@@ -241,7 +260,7 @@ class LevelDependence(LevelCause, AddedTerm):
         own = dict.fromkeys(self.levels, 0.0) | own
         lowest, highest = min(own, key=own.__getitem__), max(own, key=own.__getitem__)
         apart = f"{format_significant(own[highest] - own[lowest])} {self.unit}".rstrip()
-        return {"column": self.column, "lowest": lowest, "highest": highest, "apart": apart}
+        return {"at_each": self._at_each, "lowest": lowest, "highest": highest, "apart": apart}
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
@@ -331,7 +350,7 @@ class PooledOffsets(PooledLevels, LevelDependence):
 class PooledParameters(PooledLevels, ParametersByLevel):
     """As `ParametersByLevel`, of many levels."""
 
-    sentence = "The law has other parameters for every {column}"
+    sentence = "The law has other parameters {at_each}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -95,6 +95,18 @@ def test_other_parameters_are_those_with_interactions():
     assert diagnosis.gain.extended < 0.7 * diagnosis.gain.baseline
 
 
+def test_values_of_a_quantity_are_not_told_as_names():
+    rng = np.random.default_rng(6)
+    angle, x = np.tile([10.0, 30.0, 50.0], 20), rng.uniform(0.5, 2.0, 60)
+    frame = pd.DataFrame({"x": x, "angle_deg": angle, "y": x * (1.0 + 3e-4 * angle**2)})
+    frame["y"] += 0.02 * rng.standard_normal(60)
+    for column, words in (("angle_deg", "at each value of angle_deg"), ("who", "for each who")):
+        who = frame["angle_deg"].map({10.0: "Ada", 30.0: "Ben", 50.0: "Cy"})
+        own = frame if column == "angle_deg" else frame.drop(columns="angle_deg").assign(who=who)
+        headline = ssf.diagnose_table(own, "y ~ g*x", gain=False).summary().headline[0]
+        assert headline == f"The law has other parameters {words}."
+
+
 def saturate(x, top, half):
     return top * x / (half + x)
 
