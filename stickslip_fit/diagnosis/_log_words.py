@@ -54,13 +54,19 @@ COMMON = {
 def describe_effect(finding: Finding) -> str:
     """What a named cause does, without a full stop; without parameters, with the size of its effect.
 
-    A cause without `describe` is described by its phrase.
+    A cause without `describe` is described by its phrase. No sentence takes for known what is at the end of
+    the range searched.
     """
     cause = _cause(finding)
+    ends = [one for one in finding.parameters if one.name in finding.at_bounds]
+    known = [one for one in finding.parameters if one not in ends]
     if hasattr(cause, "describe"):
-        text = cause.describe(finding.parameters)
+        text = cause.describe(known)
     else:
-        text = plain_description(getattr(cause, "phrase", finding.cause), finding.parameters)
+        text = plain_description(getattr(cause, "phrase", finding.cause), known)
+    text += "".join(
+        f", {one.name} at the end of the range searched, {f'{one:+}'.removeprefix('+')}" for one in ends
+    )
     return text if finding.parameters else f"{text}, by {format_percent(finding.effect.estimate)} rms"
 
 
@@ -92,7 +98,7 @@ class LogWords(Words):
         """See `Words`: outlying counts last, since the gain is that of the law, and takes them out before."""
         first, *others = sorted(self.diagnosis.findings, key=lambda one: one.cause == MISFIRE)
         return [
-            f"{self.describe_finding(first)}.{self._describe_travel(first)}",
+            f"{self.warn_of_new_session()}{self.describe_finding(first)}.{self._describe_travel(first)}",
             f"{self._describe_gain(first)}{self._describe_excess()}",
             *(f"{self.describe_side_effect(one)}{self._describe_travel(one)}" for one in others),
             *(describe_reading(one, intervals=False) for one in self.diagnosis.stage if one.suffices),
@@ -160,7 +166,7 @@ class LogWords(Words):
         cure = remedy_for(finding) if not finding.equivalent else ""
         law = "" if finding.cause == MISFIRE else "the extended law"
         gain = diagnosis.gain
-        if gain is None or gain.extended >= gain.baseline:
+        if gain is None:
             cut = f"takes away errors of {format_percent(finding.effect.estimate)} rms"
         else:
             cut = self.describe_cut(gain)

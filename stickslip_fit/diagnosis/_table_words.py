@@ -110,7 +110,8 @@ class TableWords(Words):
     def tell_findings(self) -> list[str]:
         first, *others = self.diagnosis.findings
         sides = map(self.describe_side_effect, others)
-        return [f"{self.describe_finding(first)}.", *sides, self._describe_gain(), *self._describe_suspects()]
+        told = f"{self.warn_of_new_session()}{self.describe_finding(first)}."
+        return [told, *sides, self._describe_gain(), *self._describe_suspects()]
 
     def describe_carrier(self, carrier: str) -> str:
         return describe_table_carrier(carrier, self.table)
@@ -167,8 +168,6 @@ class TableWords(Words):
             last = diagnosis.selection.linearized
             rms_after = float(np.sqrt(np.mean(last.unwhiten(last.residual) ** 2)))
             cut = f"leaves {size(rms_after)} rms, instead of {left}"
-        elif gain.extended >= gain.baseline:
-            cut = f"predicts held-out rows no better, to {size(gain.extended)} rms"
         else:
             cut = self.describe_cut(gain)
         if gain is not None and gain.given_before:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from stickslip_fit.diagnosis import Diagnosis
 
-POSITION, LOAD, LENGTH = "position", "load", "own_length"
+POSITION, LOAD, LENGTH, BEFORE_JOINT = "position", "load", "own_length", "before_joint"
 PERIOD_OF, SETTINGS_OF = "period of ", "settings of "  # with which some carriers begin
 MIN_EXPLAINED, MAX_EXPLAINING = 0.05, 5  # share of a structure; causes in the table
 MIN_CLOSE = 0.1  # share of a structure that a cause explains, from which it is called close
@@ -57,7 +57,7 @@ COLUMN_WORDS = {
     "before_load": "the load of the traverse before",
     "before_length": "the length of the joint's traverse before, as a share of its travel",
     "before_gap": "the distance from where the joint last stopped, as a share of its travel",
-    "before_joint": "the joint that moved before",
+    BEFORE_JOINT: "the joint that moved before",
     "departure_before": "the departure of the traverse before",
     "joint_departure_before": "the departure of the joint's traverse before",
     "pause": "the pause since the traverse before",
@@ -156,12 +156,12 @@ def describe_proposal(finding: Finding) -> str:
     if finding.carrier.startswith("memory"):
         steps = f"{steps[0].lower()}{steps[1:]}"
         return f"What {steps} depart by {describe_carrier(finding.carrier)}; {what}; {worth}"
-    return f"{steps} follow something that no known cause describes; {what}; {worth}"
+    return f"{steps} follow {name_carriers(finding)} in a way that no known cause describes; {what}; {worth}"
 
 
 def name_carriers(finding: Finding) -> str:
     """What a proposal follows, in words."""
-    carriers = getattr(finding.version, "carriers", ())
+    carriers = tuple(dict.fromkeys(getattr(finding.version, "carriers", ())))
     together = " together" if len(carriers) > 1 else ""
     words = join_words([name_carrier(name) for name in carriers]) or name_carrier(finding.carrier)
     opposite = getattr(finding.version, "mode", "same") == "opposite"
@@ -184,9 +184,11 @@ def _describe_worth(finding: Finding) -> str:
     gain = finding.gain
     if gain is None:
         return f"its effect is {format_percent(finding.effect.estimate)} rms"
-    if gain.extended >= gain.baseline:
-        return f"held-out errors stay at {format_percent(gain.extended)}"
     before, after = format_percent(gain.baseline), format_percent(gain.extended)
+    if gain.extended >= gain.baseline or (before == after and gain.doubt):
+        return f"held-out errors stay at {after}"
+    if before == after:
+        return f"it lowers the held-out error of {before} by {format_percent(gain.cut.estimate)}"
     return f"it lowers the held-out error from {before} to {after}{gain.doubt}"
 
 
@@ -290,14 +292,20 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
     machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
     # Within one joint and direction, so that nothing else has to differ.
     groups = rows.groupby(["joint", "direction"], observed=True).indices.values()
+    # A traverse without one before it has no value to repeat.
+    columns = [rows[name] for name in carriers if name in rows and not is_coordinate(name)]
+    known = np.all([np.ones(len(rows), dtype=bool), *(one.notna() & (one != "") for one in columns)], axis=0)
+    groups = [places[known[places]] for places in groups if known[places].any()]
     inside = max(groups, key=lambda places: float(np.ptp(change[places])))
     places = []
     for extreme in (np.argmax, np.argmin):
         place = int(inside[extreme(change[inside])])
         row, size = rows.iloc[place], float(change[place])
         way = "" if _is_same_both_ways(finding) else f" {format_direction(str(row['direction']))}"
-        where = join_words([_format_carrier(name, row, machine) for name in carriers])
-        places.append(f"joint {row['joint']}{way} at {where} (steps {format_percent(size, signed=True)})")
+        where = join_words([_format_carrier(name, row, machine) for name in carriers if name != BEFORE_JOINT])
+        where = f" at {where}" if where else ""
+        after = f" after joint {row[BEFORE_JOINT]:.0f}" if BEFORE_JOINT in carriers else ""
+        places.append(f"joint {row['joint']}{way}{where}{after} (steps {format_percent(size, signed=True)})")
     where = " and ".join(places)
     return f"To test it, repeat traverses where it is at its extremes, all else alike: {where}."
 

@@ -101,7 +101,10 @@ class Words(ABC):
         """A finding or the causes that it may be, without a full stop."""
         if finding.cause == UNKNOWN:
             return self.describe_shape(finding)
-        effect = f"{self.describe_effect(finding)}{self.describe_way(finding)}{describe_company(finding)}"
+        effect = (
+            f"{self.describe_effect(finding)}{self.describe_way(finding)}{describe_company(finding)}"
+            f"{self.describe_support(finding)}"
+        )
         if not finding.equivalent:
             return effect
         either = join_words(list(map(self.name_cause, finding.cause_set)), "or")
@@ -117,8 +120,8 @@ class Words(ABC):
             return f"{shape} {describe_lag(finding)}".rstrip()
         rivals = f", or {join_words(finding.equivalent, 'or')}" if finding.equivalent else ""
         effect = lower_first(self.describe_effect(finding))
-        way = self.describe_way(finding)
-        return f"Besides that: {effect} ({finding.cause}{rivals}){way}{describe_company(finding)}."
+        told = f"{self.describe_way(finding)}{describe_company(finding)}{self.describe_support(finding)}"
+        return f"Besides that: {effect} ({finding.cause}{rivals}){told}."
 
     def describe_shape(self, finding: Finding) -> str:
         """What structure without a name does, without a full stop."""
@@ -183,11 +186,39 @@ class Words(ABC):
             return f"{self.info.format_size(finding.effect.estimate)} rms"
         return f"at most {self.info.format_size(finding.effect.high)} rms"
 
+    def describe_support(self, finding: Finding) -> str:
+        """That held-out rows do not show one of several causes, as the end of a sentence; else empty."""
+        gain, named = finding.gain, [one for one in self.diagnosis.findings if one.version is not None]
+        if gain is None or len(named) < 2 or not gain.doubt:
+            return ""
+        if self._is_no_lower(gain):
+            return f"; it does not show in held-out {self.info.row}s"
+        return f"; held-out {self.info.row}s do not show it for certain"
+
+    def _is_no_lower(self, gain: Gain) -> bool:
+        """Whether the error with the extended law is as large, in the digits that are told."""
+        before, after = map(self.info.format_size, (gain.baseline, gain.extended))
+        return gain.extended >= gain.baseline or (before == after and bool(gain.doubt))
+
     def describe_cut(self, gain: Gain) -> str:
         """Both errors on held-out rows, as the end of a sentence on the extended law."""
+        before, after = map(self.info.format_size, (gain.baseline, gain.extended))
+        if self._is_no_lower(gain):
+            return f"predicts held-out {self.info.row}s no better, to {after} rms"
+        cuts = f"cuts the prediction error on held-out {self.info.row}s"
+        if before == after:
+            return f"{cuts}, {before}, by {self.info.format_size(gain.cut.estimate)}"
+        return f"{cuts} from {before} to {after}{gain.doubt}"
+
+    def warn_of_new_session(self) -> str:
+        """That the extended law predicts a new session worse, as a sentence and a space; else empty."""
+        gain, size = self.diagnosis.gain_new_session, self.info.format_size
+        if gain is None or gain.high >= 0.0 or size(gain.baseline) == size(gain.extended):
+            return ""
         return (
-            f"cuts the prediction error on held-out {self.info.row}s from "
-            f"{self.info.format_size(gain.baseline)} to {self.info.format_size(gain.extended)}{gain.doubt}"
+            f"The extended law predicts a new session worse than the {baseline_name(self.diagnosis)} does, "
+            f"with errors of {size(gain.extended)} in place of {size(gain.baseline)}: it is for the sessions "
+            f"of this {self.info.data} only. "
         )
 
     @property

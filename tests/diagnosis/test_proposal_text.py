@@ -53,7 +53,7 @@ def test_a_term_is_proposed_with_its_formula_its_size_and_its_gain(proposed):
     shown = with_finding(proposed, term="k psi^2", parameters=sized, gain=GAIN, joints=(3,))
     first, second = write_headline(shown)
     assert first == (
-        "Joint 3's steps follow something that no known cause describes; a term is proposed: k psi^2, "
+        "Joint 3's steps follow psi in a way that no known cause describes; a term is proposed: k psi^2, "
         "k = 0.80 ± 0.10 %; it lowers the held-out error from 1.9 % to 0.41 %."
     )
     assert "find out what the term stands for" in second
@@ -66,6 +66,24 @@ def test_a_term_is_proposed_with_its_formula_its_size_and_its_gain(proposed):
     assert "unknown: proposed term" in text
     # Without a gain, the size of its effect.
     assert "its effect is" in write_headline(with_finding(shown, gain=None))[0]
+
+
+def test_two_errors_that_look_alike_are_not_told_as_a_gain(proposed):
+    for low, told in ((-0.0018, "held-out errors stay at 2.2 %"), (0.0001, "error of 2.2 % by 0.03 %")):
+        alike = replace(GAIN, baseline=0.0220, extended=0.0217, low=low, high=0.0035)
+        first = write_headline(with_finding(proposed, gain=alike))[0]
+        assert told in first
+        assert "from 2.2 % to 2.2 %" not in first
+        assert "might gain nothing" not in first
+
+
+def test_what_has_numbers_for_names_is_told_by_name_and_what_is_not_known_is_no_extreme(proposed):
+    selection, version = proposed.selection, SmoothTerm(("before_joint",))
+    change = np.abs(finding_shape(selection, selection.selected[-1]))
+    rows = selection.problem.rows.assign(before_joint=np.where(change > np.median(change), np.nan, 2.0))
+    logged = replace(proposed, selection=replace(selection, problem=replace(selection.problem, rows=rows)))
+    sentence = describe_test(replace(proposed.findings[0], version=version), logged)
+    assert len(re.findall(r"joint \d after joint 2 \(steps [+−]?[\d.]+ %\)", sentence)) == 2
 
 
 def test_without_a_formula_it_is_a_smooth_function_and_its_coefficients_are_not_shown(proposed):

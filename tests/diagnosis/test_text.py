@@ -67,6 +67,54 @@ def test_a_parameter_at_the_end_of_its_range_is_not_told_as_if_it_were_known(nam
         assert ("tau of thermal-warm-up: at the end of the range searched" in table.note) == bool(at_bounds)
 
 
+def test_what_depends_on_a_parameter_at_the_end_of_its_range_is_not_told_by_its_size():
+    """Wear after so many steps as no joint has made has the size of nothing that was seen."""
+    (wear,) = (each for each in library() if each.name == "wear")
+    k, n0 = finding_of(wear, 0.58).parameters
+    for steps, words in (
+        (1e7, "The joints wear (k = 58 %), n0 at the end of the range searched, 10,000,000 steps"),
+        (1e5, "Steps grow by 134 % for every tenfold of the steps that a joint has made, from 100,000 on"),
+    ):
+        own = (k, replace(n0, size=Interval(steps, 0.5 * steps, steps)))
+        assert describe_effect(replace(finding_of(wear, 0.58), parameters=own)).startswith(words)
+
+
+def test_a_cause_among_others_that_held_out_traverses_do_not_show_says_so(named):
+    (drift,) = named.findings
+    for gain, told in (
+        (GAIN, "(drift)."),
+        (replace(GAIN, low=-0.001), "(drift); held-out traverses do not show it for certain."),
+        (replace(GAIN, extended=0.0186, low=-0.001), "(drift); it does not show in held-out traverses."),
+    ):
+        several = replace(named, findings=(drift, replace(drift, gain=gain)))
+        assert write_headline(several)[2].endswith(told)
+        # Of a single cause the remedy says it.
+        alone = replace(named, gain=gain, findings=(replace(drift, gain=gain),))
+        assert write_headline(alone)[0].endswith("through each session.")
+
+
+def test_that_a_new_session_is_predicted_worse_is_said_first(named):
+    worse = replace(GAIN, baseline=0.0192, extended=0.0210, low=-0.0033, high=-0.0004)
+    said = told(replace(named, gain_new_session=worse))
+    assert said.startswith(
+        "The extended law predicts a new session worse than the published law does, with errors of 2.1 % in "
+        "place of 1.9 %: it is for the sessions of this log only. Steps shrink by "
+    )
+    unsure = replace(worse, high=0.0002)
+    assert told(replace(named, gain_new_session=unsure)).startswith("Steps shrink by ")
+
+
+def test_a_law_that_predicts_no_better_is_not_said_to_cut_the_error(named):
+    alike = replace(GAIN, baseline=0.0220, extended=0.0217, low=-0.0018, high=0.0035)
+    assert "the extended law, which predicts held-out traverses no better, to 2.2 % rms; " in told(
+        replace(named, gain=alike)
+    )
+    certain = replace(alike, low=0.0001)
+    assert "cuts the prediction error on held-out traverses, 2.2 %, by 0.03 %; " in told(
+        replace(named, gain=certain)
+    )
+
+
 def test_a_gain_has_no_digits_that_nobody_can_know(named):
     """Of the errors those of an rms of some hundred rows, of the gain those of its interval."""
     for gain, cells in (
