@@ -115,7 +115,10 @@ def test_a_column_that_a_plan_does_not_have_is_told_of(run):
         (("--cause", "end-stop-misfire"), "misfires are met by --heavy-tails"),
         (("--cause", "drift", "--method", "closed-form"), "the closed form fits no cause"),
         (("--causes-from", "fit.json", "--cause", "drift"), "--causes-from and --cause are alternatives"),
-        (("--causes-from", "fit.json", "--method", "bayes"), "--causes-from belongs to the closed form and to"),
+        (
+            ("--causes-from", "fit.json", "--method", "bayes"),
+            "belongs to the closed form and to",
+        ),
     ],
 )
 def test_a_cause_that_cannot_be_fitted_is_refused_in_one_message(run, arguments, told):
