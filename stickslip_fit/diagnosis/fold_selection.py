@@ -202,7 +202,10 @@ class Looks:
 
 def prepare_looks(selection: Selection, alpha: float) -> Looks | None:
     """The looks of a selection, if they can be repeated without some rows by linear algebra."""
-    tests = [*(one.misfit for one in selection.selected), selection.last_misfit]
+    tests = [
+        *(test for one in selection.selected for test in (one.misfit, one.naming)),
+        selection.last_misfit,
+    ]
     known = [one for one in tests if one is not None]
     possible = all(one.basis is not None and len(one.residual) == len(selection.problem) for one in known)
     forced = any(

@@ -223,6 +223,10 @@ def test_looks_that_are_not_clear_are_left_to_the_whole_selection(problem):
     withdrawn = replace(one, cause=UNKNOWN, version=None)
     assert prepare_looks(replace(selection, selected=(withdrawn,)), ALPHA) is None
     assert prepare_looks(replace(selection, selected=(close,)), ALPHA) is not None
+    # A test beside unknown structure, whose shapes are not among its hypotheses.
+    shapes = tuple(shape for shape in one.misfit.hypotheses if not shape.cause.startswith(UNKNOWN))
+    beside = replace(one, naming=replace(one.misfit, hypotheses=shapes))
+    assert prepare_looks(replace(selection, selected=(beside,)), ALPHA) is None
 
 
 def compare_with_repetition(log, causes=None):
