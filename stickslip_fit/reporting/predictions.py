@@ -171,7 +171,7 @@ def _beyond_travel(result: Result, beyond: pd.DataFrame) -> Iterator[str]:
         fit, number = result.joints[int(joint)], len(own)
         seen: Stretches = close_gaps(fit.travel.get(str(way), ()), result.machine.span(int(joint)))
         named = [_format_stretch(one, int(joint), result) for one in seen[:MAX_STRETCHES]]
-        more = [f"{len(seen) - MAX_STRETCHES} more stretches"] * (len(seen) > MAX_STRETCHES)
+        more = [pluralize(len(seen) - MAX_STRETCHES, "other place")] * (len(seen) > MAX_STRETCHES)
         covered = f"they cover {join_words([*named, *more])}" if seen else "none went in that direction"
         yield (
             f"{pluralize(number, 'traverse')} of joint {joint} in direction "
