@@ -49,7 +49,7 @@ MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below wh
 MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out
 COMMON = 0.8  # of the variance of functions of sessions, where they have one in common
 SOME_VALUES = 1000  # of a carrier, among which distinct ones are counted first
-MIN_LENGTHS = 0.05  # of the longest traverse, by which lengths differ
+MIN_LENGTHS = 4  # distinct ones of a joint's traverses, of which a function is looked for
 MAX_NESTED = 240  # coefficients of such functions
 LOWEST, LOAD_ORDERS = ((1, 1),), 4  # orders of products, and of a coordinate with which a load may count
 # Distinct values of a carrier with which it has all functions.
@@ -170,7 +170,8 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         hypotheses += builder.shapes(name, term, effects)
         hypotheses += builder.by_session(name, term, effects) if name in ANGLES else []
     for joint, carrier in _of_each_joint(linearized, carriers, LENGTH):
-        if carrier.high - carrier.low > MIN_LENGTHS * carrier.high:
+        # Of few lengths any function is as good as the few steps that a late stop adds to each count.
+        if carrier.distinct >= MIN_LENGTHS:
             for length in _lengths(carrier):
                 term, functions = _smooth_functions(carrier, length)
                 hypotheses += builder.of_joint(joint, LENGTH, term, builder.effects(functions))[0]
