@@ -238,18 +238,18 @@ def _interactions(one: str, other: str) -> Sequence[tuple[tuple[int, int], ...]]
     """Orders of the products of two carriers' functions that are looked for.
 
     Of any carrier with a coordinate or the load, and of two columns of the log, that of the lowest functions.
-    What turns with two joints, as cos(q1 + q2), and a load that counts more at some positions have more.
+    What turns with two joints, as cos(q1 + q2), and a load that counts more at some positions have more along
+    the joint's own travel.
     """
     both = {one, other}
     if both & {LENGTH, *FURTHER_HISTORY}:
         return ()
-    coordinates = both & {POSITION, *ANGLES}
-    if len(coordinates) == 2:
+    if POSITION in both and both & {*ANGLES}:
         return LOWEST, ((1, 1), (1, 2), (2, 1), (2, 2))
-    if coordinates and LOAD in both:
+    if both == {LOAD, POSITION}:
         return LOWEST, tuple((1, k) if one == LOAD else (k, 1) for k in range(1, LOAD_ORDERS + 1))
     of_log = [name in CONDITIONS or name.startswith(COVARIATE_PREFIX) for name in (one, other)]
-    return (LOWEST,) if coordinates or LOAD in both or all(of_log) else ()
+    return (LOWEST,) if both & {LOAD, POSITION, *ANGLES} or all(of_log) else ()
 
 
 def _product(one: Carrier, other: Carrier, orders: tuple[tuple[int, int], ...]) -> tuple[SmoothTerm, Array]:

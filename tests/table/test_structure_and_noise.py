@@ -209,7 +209,12 @@ SLOW = {
 
 
 @pytest.mark.parametrize(
-    "shape", ["parabola", pytest.param("turned parabola", marks=pytest.mark.nightly), "cubic"]
+    "shape",
+    [
+        "parabola",
+        pytest.param("turned parabola", marks=pytest.mark.nightly),
+        pytest.param("cubic", marks=pytest.mark.nightly),
+    ],
 )
 def test_a_polynomial_in_time_is_no_warm_up_no_drift_and_no_sudden_change(shape):
     rng, u = np.random.default_rng(0), np.arange(120) / 120
