@@ -89,7 +89,7 @@ def fit_closed_form(
     known = None
     if causes_from is not None:
         known = fixed_causes(causes_from, log.machine)
-        chosen = {joint: FixedCauseLaw(law, known.causes, known.values) for joint, law in chosen.items()}
+        chosen = known.hold(chosen)
     result = flag_outliers(solve_calibration(log, chosen, "closed-form", known=known, command=command), log)
     return flag_same_log(result, causes_from)
 

@@ -130,7 +130,7 @@ def fit_least_squares(
         if causes or shared:
             raise InputError("known causes stand neither beside causes to fit nor beside shared parameters")
         known = fixed_causes(causes_from, log.machine)
-        chosen = {joint: FixedCauseLaw(law, known.causes, known.values) for joint, law in chosen.items()}
+        chosen = known.hold(chosen)
     if causes:
         progress("fitting", 0.0)
         problems, combined = problems_with_causes(causes, chosen, by_joint, log.machine, options)
@@ -400,11 +400,11 @@ def profile_intervals(log: Log, result: Result) -> pd.DataFrame:
     Raises
     ------
     InputError
-        If `result` is no least-squares fit of `log`.
+        If `result` is no least-squares fit of `log`, or sessions share parameters, as those of causes.
     """
     if result.method != "least-squares" or result.provenance.log_sha256 != log.sha256:
         raise InputError("profile intervals need the least-squares fit of this very log; fit it again")
-    if any(fit.shared for fit in result.joints.values()):
+    if any(fit.shared or fit.cause_parameters for fit in result.joints.values()):
         raise InputError("profile intervals are for fits in which each session has all its own parameters")
     rows = usable_rows(log)
     ends = [_profile_joint(fit, rows[rows["joint"] == joint]) for joint, fit in result.joints.items()]

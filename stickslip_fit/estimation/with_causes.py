@@ -8,7 +8,7 @@ converge.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -305,6 +305,10 @@ class FixedCauses:
     covariance: Array
     interval: Array
     travel: dict[int, dict[str, Stretches]] = field(default_factory=dict)
+
+    def hold(self, laws: Mapping[int, StepLaw]) -> dict[int, StepLaw]:
+        """The laws of joints with these causes."""
+        return {joint: FixedCauseLaw(law, self.causes, self.values) for joint, law in laws.items()}
 
 
 def fixed_causes(result: Result, machine: Machine | None = None) -> FixedCauses:

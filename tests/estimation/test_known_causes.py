@@ -9,6 +9,7 @@ import pytest
 from stickslip_fit.causes import EndStopLatency, ExtendedLaw, RecoilAxis, ThermalWarmUp
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_closed_form, fit_least_squares
+from stickslip_fit.estimation.least_squares import profile_intervals
 from stickslip_fit.logs import read_log
 from tests.conftest import CALIBRATION_3
 
@@ -60,7 +61,9 @@ def test_with_the_true_causes_a_quiet_log_gives_the_truth(campaign, tmp_path, tr
         found = knowing.joints[joint].values[0, : len(own)] / own
         # Two counts rounded to whole steps, and joint 1's reach has little leverage.
         assert found == pytest.approx(truth, rel={1: 0.02, 2: 5e-4, 3: 5e-4}[joint])
-        assert np.abs(blind.joints[joint].values[0] / own / truth - 1).max() > 0.01
+        # Least squares has warm traverses beside the first, cold ones, so that less is hidden from it.
+        least = {fit_closed_form: 0.02, fit_least_squares: 0.015}[estimator]
+        assert np.abs(blind.joints[joint].values[0] / own / truth - 1).max() > least
 
 
 def test_it_goes_through_its_calibration_traverses(campaign, tmp_path, truly):
@@ -194,3 +197,10 @@ def test_causes_are_either_known_or_fitted(campaign, tmp_path, fitted):
     for option in ({"causes": [RecoilAxis()]}, {"shared": ("b",)}):
         with pytest.raises(InputError, match="neither"):
             fit_least_squares(log, causes_from=fitted, **option)
+
+
+def test_profile_intervals_of_what_sessions_share_are_refused(campaign, tmp_path, fitted):
+    log = hidden(campaign(("2012-03-05",)), tmp_path / "log.csv")
+    for options in ({"causes_from": fitted}, {"causes": CAUSES}):
+        with pytest.raises(InputError, match="each session has all its own"):
+            profile_intervals(log, fit_least_squares(log, **options))
