@@ -22,6 +22,7 @@ from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.parameters import CauseParameter, Row
 from stickslip_fit.causes.smooth import LinearFactor, LogLinearFactor, cosines, harmonics, wave_products
 from stickslip_fit.laws import State, StepLaw, state_at
+from stickslip_fit.logs.history import JOINT_USE, USE
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.units import COORDINATE_UNITS, from_si, share_per
 
@@ -29,8 +30,11 @@ ANGLES = ("q1", "q2", "q3", "theta", "psi")  # the joint's own excepted, which i
 POSITION, LOAD, BEFORE_DIRECTION = "position", "load", "before_direction"
 LENGTH = "own_length"  # of the traverse, rad or m
 PAUSES = ("pause", "joint_pause")  # s, of which a function follows the logarithm
-FORMULA_NAMES = {"session_seconds": "session time"} | {
-    name: f"log(1 + {name.replace('_', ' ')} / s)" for name in PAUSES
+FORMULA_NAMES = {
+    "session_seconds": "session time",
+    **{name: f"log(1 + {name.replace('_', ' ')} / s)" for name in PAUSES},
+    **{name: f"travels in {seconds / 60.0:.0f} min" for name, seconds in USE.items()},
+    **{name: f"own travels in {seconds / 60.0:.0f} min" for name, seconds in JOINT_USE.items()},
 }  # of carriers in formulas, where they have not their own
 SMOOTH_SCALE = 0.01  # of a smooth function's coefficients
 Mode = Literal["same", "opposite"]

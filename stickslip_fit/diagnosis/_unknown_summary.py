@@ -29,7 +29,7 @@ from stickslip_fit.causes.proposed import PAUSES
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, closest_cause
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
-from stickslip_fit.logs.history import DEPARTURES
+from stickslip_fit.logs.history import DEPARTURES, JOINT_USE, USE
 from stickslip_fit.logs.log import has_replicates
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, is_coordinate
 from stickslip_fit.machine import Machine, load_machine, mean_load
@@ -62,6 +62,11 @@ COLUMN_WORDS = {
     "joint_departure_before": "the departure of the joint's traverse before",
     "pause": "the pause since the traverse before",
     "joint_pause": "the pause since the joint's traverse before",
+    **{name: f"what was driven in the last {seconds / 60.0:.0f} min or so" for name, seconds in USE.items()},
+    **{
+        name: f"what the joint itself was driven in the last {seconds / 60.0:.0f} min or so"
+        for name, seconds in JOINT_USE.items()
+    },
     "session_seconds": "the time in the session",
     "session_order": "the number of traverses in the session",
     "steps_before": "the joint's own steps so far",

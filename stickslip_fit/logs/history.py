@@ -12,8 +12,16 @@ from stickslip_fit._typing import Array, Int64Array
 from stickslip_fit.logs._table import label_codes, run_in_threads
 from stickslip_fit.machine import Machine, load_machine, mean_load
 
+# What was driven not long ago: of any joint and of the same joint, and s in which it is forgotten.
+USE = {f"use_{minutes}min": 60.0 * minutes for minutes in (5, 20, 80)}
+JOINT_USE = {f"joint_{name}": seconds for name, seconds in USE.items()}
 # History on which no published cause depends.
-FURTHER_HISTORY = ("before_length", "before_gap", "before_joint", "pause", "joint_pause", "session_order")
+FURTHER_HISTORY = (
+    *("before_length", "before_gap", "before_joint", "pause", "joint_pause", "session_order"),
+    *USE,
+    *JOINT_USE,
+)
+NEGLIGIBLE_USE = 1e-9  # share of what was driven
 # What the step size of the traverse before had beyond its law, and the time since that traverse.
 DEPARTURES = {"departure_before": "pause", "joint_departure_before": "joint_pause"}
 MAX_PASSES, DEPARTURE_TOL = 30, 1e-9  # of laws that follow departures
@@ -52,7 +60,8 @@ def add_session_history(
     far from its stop this one starts, as shares of the joint's travel), ``joint_pause`` (s from its start).
     Of the traverse before of any joint: ``before_joint`` and ``pause`` (s from its start). All but the first
     two are NaN for a first traverse. Of the session: ``session_seconds`` and ``session_order``, time and
-    traverses since its first one.
+    traverses since its first one, and the columns of `USE` and `JOINT_USE`: the lengths of its traverses so
+    far, as shares of their joints' travel, each times exp(-age / s), see `recent_use`.
     """
     joint = rows["joint"].to_numpy()
     time = rows["time"].to_numpy(dtype="datetime64[ns]").view(np.int64)
@@ -82,17 +91,52 @@ def add_session_history(
     span = np.array([(machine or load_machine()).span(int(one)) for one in np.unique(joint)])
     travel = span[np.searchsorted(np.unique(joint), joint)]
     own, last = previous_rows(session * (joint.max(initial=0) + 1) + joint), previous_rows(session)
+    length = np.abs(stop - start) / travel
+    uses = {
+        name: partial(recent_use, length, seconds, before, fades)
+        for columns, before in ((USE, last), (JOINT_USE, own))
+        for name, fades in columns.items()
+    }
     return rows.assign(
         before_direction=label_codes(direction, ("+", "-")).set_axis(rows.index),
         before_load=load,
-        before_length=np.where(own >= 0, (np.abs(stop - start) / travel)[own], np.nan),
+        before_length=np.where(own >= 0, length[own], np.nan),
         before_gap=np.where(own >= 0, np.abs(start - stop[own]) / travel, np.nan),
         before_joint=np.where(last >= 0, joint[last], np.nan),
         pause=np.where(last >= 0, seconds - seconds[last], np.nan),
         joint_pause=np.where(own >= 0, seconds - seconds[own], np.nan),
         session_seconds=seconds,
         session_order=number.astype(float),
+        **run_in_threads(uses, len(rows)),
     )
+
+
+def recent_use(length: Array, seconds: Array, before: Int64Array, fades: float) -> Array:
+    """Sum the lengths of all rows before in the same group, each times exp(-age / fades), shape (n,).
+
+    As what is driven warms a joint that cools in pauses.
+
+    Parameters
+    ----------
+    length, seconds : array, shape (n,)
+        Of each traverse, and when it began.
+    before : array of int, shape (n,)
+        The previous row of the group, -1 for its first; see `previous_rows`.
+    fades : float
+        Seconds.
+
+    Examples
+    --------
+    >>> recent_use(np.ones(3), np.array([0.0, 60.0, 120.0]), np.array([-1, 0, 1]), 60.0).round(3)
+    array([0.   , 0.368, 0.503])
+    """
+    left = np.exp(np.where(before >= 0, seconds[before] - seconds, -np.inf) / fades)
+    used = left * length[before]
+    # `used` is of as many rows before as a doubling number, `before` the row that many rows back.
+    while np.any(left > NEGLIGIBLE_USE):
+        used = used + left * used[before]
+        left, before = left * left[before], np.where(before >= 0, before[before], -1)
+    return np.asarray(used)
 
 
 def add_departures(rows: pd.DataFrame, departures: Array) -> pd.DataFrame:
