@@ -62,9 +62,9 @@ COLUMN_WORDS = {
     "joint_departure_before": "the departure of the joint's traverse before",
     "pause": "the pause since the traverse before",
     "joint_pause": "the pause since the joint's traverse before",
-    **{name: f"what was driven in the last {seconds / 60.0:.0f} min or so" for name, seconds in USE.items()},
+    **{name: f"the travel in the last {seconds / 60.0:.0f} min or so" for name, seconds in USE.items()},
     **{
-        name: f"what the joint itself was driven in the last {seconds / 60.0:.0f} min or so"
+        name: f"the joint's own travel in the last {seconds / 60.0:.0f} min or so"
         for name, seconds in JOINT_USE.items()
     },
     "session_seconds": "the time in the session",
@@ -342,6 +342,9 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
     if name == "before_direction":
         return f"{label} {format_direction(str(row[name])) or 'unknown'}"
     value, unit = float(row[name]), ""
+    if name in USE or name in JOINT_USE:
+        what, minutes = (" of its own" if name in JOINT_USE else ""), from_si((USE | JOINT_USE)[name], "min")
+        return f"{format_significant(value, 3)} full travels{what} in the last {minutes:.0f} min or so"
     if name == "session_seconds":
         value, unit = from_si(value, "h"), " h"
     elif name in PAUSES:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
@@ -90,12 +90,12 @@ def add_session_history(
     start, stop = (rows[name].to_numpy(float) for name in ("start", "stop"))
     span = np.array([(machine or load_machine()).span(int(one)) for one in np.unique(joint)])
     travel = span[np.searchsorted(np.unique(joint), joint)]
-    own, last = previous_rows(session * (joint.max(initial=0) + 1) + joint), previous_rows(session)
+    of_joint = session * (joint.max(initial=0) + 1) + joint
+    own, last = previous_rows(of_joint), previous_rows(session)
     length = np.abs(stop - start) / travel
     uses = {
-        name: partial(recent_use, length, seconds, before, fades)
-        for columns, before in ((USE, last), (JOINT_USE, own))
-        for name, fades in columns.items()
+        "all joints": partial(recent_use, length, seconds, session, USE),
+        "each joint": partial(recent_use, length, seconds, of_joint, JOINT_USE),
     }
     return rows.assign(
         before_direction=label_codes(direction, ("+", "-")).set_axis(rows.index),
@@ -107,36 +107,49 @@ def add_session_history(
         joint_pause=np.where(own >= 0, seconds - seconds[own], np.nan),
         session_seconds=seconds,
         session_order=number.astype(float),
-        **run_in_threads(uses, len(rows)),
+        **{name: use for one in run_in_threads(uses, len(rows)).values() for name, use in one.items()},
     )
 
 
-def recent_use(length: Array, seconds: Array, before: Int64Array, fades: float) -> Array:
-    """Sum the lengths of all rows before in the same group, each times exp(-age / fades), shape (n,).
+def recent_use(
+    length: Array, seconds: Array, group: Int64Array, fades: Mapping[str, float]
+) -> dict[str, Array]:
+    """Sum the lengths of all rows before in the same group, each times exp(-age / fades).
 
     As what is driven warms a joint that cools in pauses.
 
     Parameters
     ----------
     length, seconds : array, shape (n,)
-        Of each traverse, and when it began.
-    before : array of int, shape (n,)
-        The previous row of the group, -1 for its first; see `previous_rows`.
-    fades : float
-        Seconds.
+        Of each traverse, and when it began, in the order of time.
+    group : array of int, shape (n,)
+    fades : mapping of str to float
+        Seconds, by name.
+
+    Returns
+    -------
+    dict of str to array, shape (n,)
 
     Examples
     --------
-    >>> recent_use(np.ones(3), np.array([0.0, 60.0, 120.0]), np.array([-1, 0, 1]), 60.0).round(3)
+    >>> use = recent_use(np.ones(3), np.array([0.0, 60.0, 120.0]), np.zeros(3, int), {"minute": 60.0})
+    >>> use["minute"].round(3)
     array([0.   , 0.368, 0.503])
     """
-    left = np.exp(np.where(before >= 0, seconds[before] - seconds, -np.inf) / fades)
-    used = left * length[before]
-    # `used` is of as many rows before as a doubling number, `before` the row that many rows back.
-    while np.any(left > NEGLIGIBLE_USE):
-        used = used + left * used[before]
-        left, before = left * left[before], np.where(before >= 0, before[before], -1)
-    return np.asarray(used)
+    order = np.argsort(group, kind="stable")
+    group, length, seconds = group[order], length[order], seconds[order]
+    age, found = np.where(group[1:] == group[:-1], np.diff(seconds), np.inf), {}
+    for name, scale in fades.items():
+        left = np.append(0.0, np.exp(-age / scale))[: len(order)]
+        used = left * np.roll(length, 1)
+        back = 1  # `used` is of so many rows before, and `left` of what a row as far back has
+        while np.any(left > NEGLIGIBLE_USE) and back < len(order):
+            used[back:] += left[back:] * used[:-back]
+            left[back:] *= left[:-back].copy()
+            back *= 2
+        found[name] = np.empty(len(order))
+        found[name][order] = used
+    return found
 
 
 def add_departures(rows: pd.DataFrame, departures: Array) -> pd.DataFrame:

@@ -26,6 +26,7 @@ from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import ResidualComparison, find_carrier
 from stickslip_fit.estimation.profile import follows_position
+from stickslip_fit.logs.history import JOINT_USE, USE
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times, position_columns
 from stickslip_fit.machine import Machine, mean_load
 from stickslip_fit.plotting._style import (
@@ -234,6 +235,16 @@ BEFORE_LABEL = "the traverse before (%)"
 PROPOSAL_LABEL = "what is proposed, as fitted"
 EFFECT_LABEL = "effect of the proposal (%)"
 CARRIER_LABELS = {"load": "load along the axis"}
+# Of history that no cause follows: its axis, and the unit of that where it is not SI.
+FURTHER_LABELS = {
+    "before_length": ("length of the joint's traverse before (share of its travel)", ""),
+    "before_gap": ("distance from the joint's last stop (share of its travel)", ""),
+    "before_joint": ("joint that moved before", ""),
+    "pause": ("since the traverse before (min)", "min"),
+    "joint_pause": ("since the joint's traverse before (min)", "min"),
+    **{name: (f"full travels in {seconds / 60.0:.0f} min", "") for name, seconds in USE.items()},
+    **{name: (f"own full travels in {seconds / 60.0:.0f} min", "") for name, seconds in JOINT_USE.items()},
+}
 
 
 def finding_picture(
@@ -308,6 +319,10 @@ def _find_carrier_values(
         return label, values
     if LENGTH in carriers:
         return _own_length(rows, subset, machine)
+    if carriers and carriers[0] in FURTHER_LABELS:
+        label, unit = FURTHER_LABELS[carriers[0]]
+        values = rows[carriers[0]].to_numpy(float)
+        return label, from_si(values, unit) if unit else values
     if any(_varies(values[subset & (rows["joint"] == joint).to_numpy()]) for joint in rows["joint"].unique()):
         columns = {label: values} | columns  # first: a coordinate of one joint is a setting of the others
     own = [find_label(column) for column in getattr(selected.version, "columns", ())]

@@ -15,6 +15,8 @@ from stickslip_fit.logs.history import previous_rows
 SHARED = Path(__file__).parents[3] / "shared"
 HISTORY = ["before_direction", "before_load", "steps_before", "session_seconds"]
 OTHER_HISTORY = ["before_length", "before_gap", "joint_pause", "before_joint", "pause", "session_order"]
+MINUTES = [5, 20, 80]
+USE = [f"{whose}use_{minutes}min" for whose in ("", "joint_") for minutes in MINUTES]
 TRAVEL = {1: math.radians(240), 2: math.radians(240), 3: 0.012}
 
 
@@ -65,6 +67,26 @@ def slow_other_history(rows: list[dict]) -> list[tuple[float, ...]]:
     return found
 
 
+def slow_use(rows: list[dict]) -> list[list[float]]:
+    """Full travels before each row in its session, of all joints and of its own, older ones counting less."""
+    found = []
+    for row in rows:
+        before = [one for one in rows if one["time"] < row["time"] and one["session"] == row["session"]]
+        own = [one for one in before if one["joint"] == row["joint"]]
+        found.append(
+            [
+                sum(
+                    abs(one["stop"] - one["start"]) / TRAVEL[one["joint"]]
+                    * 2.718281828459045 ** -((row["time"] - one["time"]).total_seconds() / 60 / minutes)
+                    for one in some
+                )
+                for some in (before, own)
+                for minutes in MINUTES
+            ]
+        )  # fmt: skip
+    return found
+
+
 def campaign(seed: int, count: int = 120) -> pd.DataFrame:
     """A campaign in file columns: three sessions that overlap in time, all joints, all statuses."""
     rng = np.random.default_rng(seed)
@@ -106,6 +128,7 @@ def assert_history(rows: pd.DataFrame) -> None:
     np.testing.assert_allclose(rows["session_seconds"], slow["session_seconds"], rtol=0, atol=1e-6)
     other = slow_other_history(rows.to_dict("records"))
     np.testing.assert_allclose(rows[OTHER_HISTORY], np.array(other), rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(rows[USE], np.array(slow_use(rows.to_dict("records"))), atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
