@@ -339,7 +339,7 @@ class EndStopMisfire(Cause):
         "missed and the joint goes on stepping against it. Such counts say nothing about step sizes."
     )
     shows_best = "replicates: a misfire does not come back"
-    sentence = "About one count in {one_in} is off by {size} or so: the end stop is missed or imagined"
+    sentence = "About one count in {one_in} is off by {size}: the end stop is missed or imagined"
     remedy = "repeating those traverses (the Student-t fit needs none excluded)"
     parameters = (
         CauseParameter("share", "%", "of the counts", lower=0.0, upper=1.0),
@@ -354,7 +354,9 @@ class EndStopMisfire(Cause):
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         one_in = round(1 / sizes["share"].size.estimate)
-        return {"one_in": f"{one_in:,}", "size": format_percent(sizes["size"].size.estimate)}
+        size = sizes["size"].size.estimate
+        about = f"{format_percent(size)} or so" if np.isfinite(size) else "an unknown amount"
+        return {"one_in": f"{one_in:,}", "size": about}
 
     def misfire_deviations(self, values: Array, misfire_draws: Array) -> Array:
         """Log steps that misfires add to counts, (n, 2) -> (n,).

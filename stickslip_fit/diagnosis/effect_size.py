@@ -216,9 +216,12 @@ def _with_law(finding: Finding, selection: Selection, selected: SelectedCause, c
 
 def _size_outliers(selection: Selection, problem: DiagnosisProblem, selected: SelectedCause) -> Finding:
     rows, n = selection.outliers, len(problem)
-    departure = predict_departures(selection, problem, rows)
+    every_departure = predict_departures(selection, problem, rows)
+    # Without them a session with few rows may have no law that says by how much they are off.
+    known = np.isfinite(every_departure)
+    departure = every_departure[known]
     sizes = np.abs(departure)
-    covariance = _departure_covariance(selection, problem, rows)
+    covariance = _departure_covariance(selection, problem, rows[known])
     square = float(departure @ departure)
     rms = float(np.sqrt(max(square - np.trace(covariance), 0.0) / n))
     error = Z_95 * float(np.sqrt(departure @ covariance @ departure / max(square * n, MIN_SQUARE)))
@@ -230,7 +233,11 @@ def _size_outliers(selection: Selection, problem: DiagnosisProblem, selected: Se
     # Of what a departure may be: they differ among each other, and each is known within its error.
     errors = np.sqrt(np.diag(covariance))
     within = np.maximum(sizes[:, None] + errors[:, None] * NORMAL_SCORES, 0.0)
-    low, high = map(float, np.quantile(within, (QUANTILES_95[0], QUANTILES_95[-1])))
+    typical, effect = Interval(np.nan, np.nan, np.nan), Interval(np.nan, np.nan, np.nan)
+    if known.any():
+        low, high = map(float, np.quantile(within, (QUANTILES_95[0], QUANTILES_95[-1])))
+        typical = Interval(float(np.median(sizes)), low, high)
+        effect = Interval(rms, max(rms - error, 0.0), rms + error)
     unit = getattr(problem.parts[0].law, "response_unit", "%")  # a table's response has one of its own
     return Finding(
         selected.cause,
@@ -238,12 +245,9 @@ def _size_outliers(selection: Selection, problem: DiagnosisProblem, selected: Se
         (),
         selected.p_value,
         joints_of_laws(part.law for part in problem.parts if np.isin(part.rows, rows).any()),
-        Interval(rms, max(rms - error, 0.0), rms + error),
-        (
-            SizedParameter("share", "%", share),
-            SizedParameter("size", unit, Interval(float(np.median(sizes)), low, high)),
-        ),
-        traverses=problem.rows.iloc[rows].assign(departure=departure),
+        effect,
+        (SizedParameter("share", "%", share), SizedParameter("size", unit, typical)),
+        traverses=problem.rows.iloc[rows].assign(departure=every_departure),
     )
 
 

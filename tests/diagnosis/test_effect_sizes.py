@@ -11,6 +11,7 @@ from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.hypotheses import compute_changes
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
+from tests.hidden.study import Case, make
 
 WARM_UP, HIDDEN = "thermal-warm-up", "unknown:product"
 
@@ -96,3 +97,13 @@ def test_a_spot_narrower_than_can_be_told_has_the_size_that_it_has():
     ]
     for found, true in zip(finding.parameters, truths, strict=True):  # %, mm and mm
         assert found.size.low < true < found.size.high
+
+
+def test_counts_without_which_a_session_has_no_law():
+    """Of four outlying counts of one direction of a session two have no prediction once all are out."""
+    hidden = make(Case("single", "many", "t5", 25.0, 1000041))
+    (found,) = diagnose(read_hidden(hidden), gain=False).findings
+    (truth,) = hidden.truth["effects"]
+    assert found.cause == truth["cause"] == "end-stop-misfire"
+    assert found.traverses["departure"].isna().any()
+    assert 100 * found.effect.low <= truth["effect_rms_pct"] <= 100 * found.effect.high
