@@ -364,7 +364,7 @@ def _to_mask(cells: pa.Array) -> BoolArray:
     return cells.to_numpy(zero_copy_only=False)
 
 
-def run_in_threads(tasks: dict[str, Callable[[], Any]], size: int) -> dict[str, Any]:
+def run_in_threads(tasks: Mapping[str, Callable[[], Any]], size: int) -> dict[str, Any]:
     """Run all tasks and return what each of them returns.
 
     In threads where the tasks work on enough rows, `size`, that these take longer than threads to begin.
