@@ -21,6 +21,7 @@ from tests.hidden.physics import Array, Place
 CLOSE = 1e-3
 _NOTHING = 1e-6
 _STEP, _RANK = 1e-4, 1e-6
+_REFITS = 12
 
 
 class Ruler:
@@ -32,10 +33,6 @@ class Ruler:
     @cached_property
     def _weighted(self) -> Array:
         return recalibrations(self.campaign, 1 / self.campaign.repeatability)
-
-    @cached_property
-    def _even(self) -> Array:
-        return recalibrations(self.campaign, np.ones(len(self.campaign)))
 
     def strength(self, effect: Effect, size: float) -> float:
         """Strength of an effect at a size; NaN where a joint would come to a halt."""
@@ -49,8 +46,11 @@ class Ruler:
         return self.rms_left(change) if effect.absorbed else float(np.sqrt(np.mean(change**2)))
 
     def rms_left(self, change: Array) -> float:
-        """Rms over all rows, with equal weight, of what recalibration leaves of changes, (n,)."""
-        return float(np.sqrt(np.mean(_off(self._even, change) ** 2)))
+        """Rms over all rows, with equal weight, of what the baseline fitted anew leaves of changes, (n,).
+
+        It bends with the law: another payload in a whole session leaves nothing, however large.
+        """
+        return float(np.sqrt(np.mean(_refit(self.campaign, change) ** 2)))
 
     def size(self, effect: Effect, strength: float) -> float | None:
         """Size at which an effect has a strength; None where there is no such size."""
@@ -88,6 +88,37 @@ def recalibrations(campaign: Campaign, weights: Array) -> Array:
             block[place.rows[subset]] = _span(jacobian[subset])
             directions.append(block)
     return np.concatenate(directions, axis=1)
+
+
+def _refit(campaign: Campaign, change: Array) -> Array:
+    """What parameters of each session and direction leave of changes of log counts, (n,): least squares."""
+    left = np.empty(len(campaign))
+    for place in campaign.places:
+        group = 2 * campaign.plan.session[place.rows] + (campaign.plan.forward[place.rows] > 0)
+        before, moved = _log_counts(place), place
+        left[place.rows] = change[place.rows]
+        for _ in range(_REFITS):
+            jacobian, shares = _jacobian(moved), np.zeros((len(place.rows), len(place.values)))
+            for each in np.unique(group):
+                subset = np.flatnonzero(group == each)
+                shares[subset] = np.linalg.lstsq(jacobian[subset], left[place.rows[subset]], _RANK)[0]
+            while not np.isfinite(further := _log_counts(stepped := _scaled(moved, 1 + shares))).all():
+                shares /= 2  # the joint would come to a halt
+            moved, left[place.rows] = stepped, change[place.rows] - further + before
+            if np.abs(shares).max() < _NOTHING:
+                break
+    return left
+
+
+def _log_counts(place: Place) -> Array:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.log(place.counts(place.step_size()))
+
+
+def _scaled(place: Place, shares: Array) -> Place:
+    """With each parameter times a share of its own in each row, (n, p)."""
+    named = zip(place.values.items(), shares.T, strict=True)
+    return replace(place, values={name: value * share[:, None] for (name, value), share in named})
 
 
 def _jacobian(place: Place) -> Array:
