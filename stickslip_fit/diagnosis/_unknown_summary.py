@@ -211,7 +211,10 @@ def describe_unknown_gain(finding: Finding, diagnosis: Diagnosis) -> str:
         return ""
     test = describe_test(finding, diagnosis)
     what = f"what {describe_stand_in(finding)}"
-    if getattr(finding.version, "carriers", ()) == (POSITION,) and getattr(finding.version, "sessions", ()):
+    carriers = getattr(finding.version, "carriers", ())
+    if {*USE, *JOINT_USE} & {*carriers}:
+        what = "whether it is warmth from driving, as a thermometer at the joint would tell"
+    if carriers == (POSITION,) and getattr(finding.version, "sessions", ()):
         what = f"what makes it differ from session to session{_name_closest(finding)}"
     return (
         f"{test + ' ' if test else ''}{describe_lag(finding)}What to do: find out {what}, log that as a "

@@ -1,6 +1,7 @@
 """Effects of the traverse's own length, of two columns together and of recent use, put into logs by hand."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -45,6 +46,15 @@ def warmth(table, minutes=15.0):
     return 0.02 * warm / warm.max()
 
 
+@cache
+def diagnose_with(effect, design):
+    hidden = hide(design, seed=4)
+    table = hidden.table.copy()
+    steps = table["steps"] / (1.0 + effect(table))
+    table["steps"] = (CHECK_EVERY * np.round(steps / CHECK_EVERY)).astype(int)
+    return diagnose(read_hidden(replace(hidden, table=table)), gain=False)
+
+
 @pytest.mark.parametrize(
     ("effect", "design", "carriers"),
     [
@@ -55,10 +65,16 @@ def warmth(table, minutes=15.0):
     ],
 )
 def test_what_steps_follow_is_found(effect, design, carriers):
-    hidden = hide(design, seed=4)
-    table = hidden.table.copy()
-    steps = table["steps"] / (1.0 + effect(table))
-    table["steps"] = (CHECK_EVERY * np.round(steps / CHECK_EVERY)).astype(int)
-    found = diagnose(read_hidden(replace(hidden, table=table)), gain=False)
+    found = diagnose_with(effect, design)
     assert [one.cause for one in found.findings] == ["unknown"]
     assert {*found.findings[0].version.carriers} == carriers, found.summary().headline
+
+
+def test_recent_use_is_told_as_warmth():
+    found = diagnose_with(warmth, "session")
+    text = " ".join(found.summary().headline)
+    assert "follow the joint's own travel in the last 20 min or so" in text
+    assert "full travels of its own in the last 20 min" in text
+    assert "find out whether it is warmth from driving" in text
+    labels = {axis.get_xlabel() for axis in found.plot().flat}
+    assert "own full travels in 20 min" in labels
