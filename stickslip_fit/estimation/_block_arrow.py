@@ -1,14 +1,16 @@
 """Least squares with parameters shared by many groups: the normal equations are block-arrow-shaped.
 
 Each group's own parameters are a block, the shared ones the border; eliminating the blocks leaves a
-small system, so that time and memory grow linearly with the groups. Own parameters are damped little, so
+small system, so that time and memory grow linearly with the groups. Products of shared parameters are summed
+over all groups at once: of many parameters, group by group they would fill the memory. Own parameters are
+damped little, so
 that the search follows the profile of the sum of squares (variable projection: G. Golub and V. Pereyra,
 SIAM J. Numer. Anal. 10:413, 1973; L. Kaufman, BIT 15:49, 1975).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,11 +22,12 @@ from stickslip_fit.estimation._groups import Groups
 from stickslip_fit.estimation._optimize import (
     RANK_TOL,
     Minimum,
-    NormalEquations,
     Objective,
     SingularFactors,
     factorize,
+    products_by_group,
     search,
+    weighted_columns,
 )
 from stickslip_fit.estimation.identifiability import identifiable_parameters
 from stickslip_fit.laws.base import Model
@@ -108,8 +111,8 @@ def solve_block_arrow(
     Returns
     -------
     Minimum
-        Of `minimize`; shared values stand in each of their groups, `curvature` is that of
-        `shared_curvature`, and the rank of the shared parameters is spread over the groups of a set.
+        Of `minimize`; shared values stand in each of their groups, `curvature` is that of the shared
+        parameters of each set, the own ones eliminated, and their rank is spread over the groups of a set.
     """
     low, high = np.broadcast_to(lower, scales.shape), np.broadcast_to(upper, scales.shape)
     scales, tolerances = sharing.averaged(scales), (RANK_TOL, tolerance, offset_tol)
@@ -120,7 +123,126 @@ def solve_block_arrow(
 
 
 @dataclass(frozen=True, eq=False)
-class _BlockArrow(Objective):
+class ArrowProducts:
+    """Products of slopes and residuals at a point, shared parameters summed over each set.
+
+    Attributes
+    ----------
+    sharing : ParameterSharing
+        Of p parameters of g groups, q of them shared by the groups of each of h sets.
+    residual : array, shape (n,)
+    cost : array, shape (g,)
+        Weighted sum of squares; infinite, and all products 0, where the model has no value.
+    own : array, shape (g, p - q, p - q)
+        Products of the own parameters' slopes.
+    across : array, shape (g, p - q, q + 1)
+        Of these with the slopes of the shared parameters, and with the residual.
+    border : array, shape (h, q + 1, q + 1)
+        Of the latter.
+    """
+
+    sharing: ParameterSharing
+    residual: Array
+    cost: Array
+    own: Array
+    across: Array
+    border: Array
+
+    @classmethod
+    def of(
+        cls, sharing: ParameterSharing, groups: Groups, residual: Array, columns: Array, scales: Array
+    ) -> ArrowProducts:
+        """From the columns of [J, r], shape (p + 1, n), and the scales of the parameters, (g, p)."""
+        shared = sharing.parameters
+        with np.errstate(all="ignore"):
+            columns[:-1] *= scales[groups.of_row].T
+            # By the inequality of Cauchy and Schwarz no product is greater.
+            outside = ~np.isfinite(groups.sums(np.einsum("pn,pn->n", columns, columns)))
+        if outside.any():
+            columns[:, outside[groups.of_row]] = 0.0
+        own, others = columns[:-1][~shared], np.concatenate([columns[:-1][shared], columns[-1:]])
+        cost = np.where(outside, np.inf, groups.sums(columns[-1] ** 2))
+        across = np.empty((len(groups), len(own), len(others)))
+        for k, column in enumerate(own):
+            across[:, k] = _sum_by_group(column * others, groups).T
+        border = np.empty((len(sharing.sets), len(others), len(others)))
+        for place in range(len(border)):
+            some = others[:, (sharing.sets.of_row == place)[groups.of_row]] if len(border) > 1 else others
+            np.matmul(some, some.T, out=border[place])
+        return cls(sharing, residual, cost, products_by_group(own, groups), across, border)
+
+    @property
+    def squares(self) -> Array:
+        """Sum of squares of each slope, that of a shared parameter over all groups of the set, (g, p)."""
+        shared, squares = self.sharing.parameters, np.empty((len(self.own), len(self.sharing.parameters)))
+        squares[:, ~shared] = _diagonal(self.own)
+        squares[:, shared] = _diagonal(self.border)[self.sharing.sets.of_row, :-1]
+        return squares
+
+    @property
+    def gradient(self) -> Array:
+        """Products of the slopes with the residual, that of a shared parameter over all groups, (g, p)."""
+        shared, gradient = self.sharing.parameters, np.empty((len(self.own), len(self.sharing.parameters)))
+        gradient[:, ~shared] = self.across[:, :, -1]
+        gradient[:, shared] = self.border[self.sharing.sets.of_row, :-1, -1]
+        return gradient
+
+    def fix_parameters(self, fixed: BoolArray, groups: Groups) -> ArrowProducts:
+        """These products with some parameters, shape (g, p), fixed: shared ones in all groups of a set."""
+        if not np.any(fixed):
+            return self
+        shared, of_set = self.sharing.parameters, self.sharing.sets.of_row
+        free = 1.0 * ~fixed[:, ~shared]
+        of_sets = np.ones((len(self.border), self.border.shape[1]))
+        of_sets[of_set, :-1] = ~fixed[:, shared]
+        return replace(
+            self,
+            own=self.own * free[:, :, None] * free[:, None, :],
+            across=self.across * free[:, :, None] * of_sets[of_set, None],
+            border=self.border * of_sets[:, :, None] * of_sets[:, None, :],
+        )
+
+    def merge(self, other: ArrowProducts, where: BoolArray, groups: Groups) -> ArrowProducts:
+        """These products, but `other`'s in the groups `where`, which are all those of some sets."""
+        if np.all(where):
+            return other
+        if not np.any(where):
+            return self
+        of_sets = np.zeros(len(self.border), dtype=bool)
+        of_sets[self.sharing.sets.of_row] = where
+        chosen = {"residual": where[groups.of_row], "cost": where, "own": where, "across": where}
+        chosen |= {"border": of_sets}
+        merged = {}
+        for name, own in chosen.items():
+            merged[name] = getattr(self, name).copy()
+            merged[name][own] = getattr(other, name)[own]
+        return replace(self, **merged)
+
+    def eliminate(self, inverse: Array) -> tuple[Array, Array]:
+        """The border without the own parameters, (h, q + 1, q + 1), and how these follow the others.
+
+        `inverse` is that of `own`; what follows has the shape of `across`.
+        """
+        follow, width = inverse @ self.across, self.border.shape[1]
+        reduced = self.border.copy()
+        for place in range(len(reduced)):
+            some = self.sharing.sets.of_row == place
+            reduced[place] -= self.across[some].reshape(-1, width).T @ follow[some].reshape(-1, width)
+        return reduced, follow
+
+
+def _sum_by_group(values: Array, groups: Groups) -> Array:
+    """Sums of rows over each group, (m, n) -> (m, g)."""
+    place = np.arange(len(values))[:, None] * len(groups) + groups.of_row
+    return np.bincount(place.ravel(), values.ravel(), len(values) * len(groups)).reshape(len(values), -1)
+
+
+def _diagonal(matrices: Array) -> Array:
+    return np.diagonal(matrices, axis1=1, axis2=2)
+
+
+@dataclass(frozen=True, eq=False)
+class _BlockArrow(Objective[ArrowProducts]):
     """Sums of squares in which the groups of a set move together."""
 
     sharing: ParameterSharing = field(kw_only=True)
@@ -142,28 +264,38 @@ class _BlockArrow(Objective):
         np.maximum.at(largest, self.sharing.sets.of_row, np.max(values, axis=1, initial=0.0))
         return largest
 
-    def gradient(self, here: NormalEquations) -> Array:
-        return self.sharing.summed(super().gradient(here))
+    def normal_equations(self, values: Array) -> ArrowProducts:
+        with np.errstate(all="ignore"):
+            residual, columns = weighted_columns(self.model, self.y, self.weight, values[self.groups.of_row])
+        return ArrowProducts.of(self.sharing, self.groups, residual, columns, self.scales)
 
-    def lengths(self, here: NormalEquations) -> Array:
-        return np.sqrt(self.sharing.summed(here.norms**2))
+    def gradient(self, here: ArrowProducts) -> Array:
+        return here.gradient
 
-    def factors(self, here: NormalEquations, lengths: Array) -> _ArrowFactors:
-        return _ArrowFactors(here.products, lengths, self.sharing, self.rank_tol)
+    def lengths(self, here: ArrowProducts) -> Array:
+        return np.sqrt(here.squares)
 
-    def rank(self, here: NormalEquations, lengths: Array) -> IntArray:
+    def factors(self, here: ArrowProducts, lengths: Array) -> _ArrowFactors:
+        return _ArrowFactors(here, lengths, self.sharing, self.rank_tol)
+
+    def rank(self, here: ArrowProducts, lengths: Array) -> IntArray:
         factors = self.factors(here, lengths)
         return factors.own.rank + _distribute_rank(factors.border.rank, self.sharing.sets, self.groups.sizes)
 
-    def curvature(self, here: NormalEquations) -> Array:
-        return shared_curvature(here.curvature(self.scales), self.sharing, self.scales)
+    def curvature(self, here: ArrowProducts) -> Array:
+        own = np.flatnonzero(~self.sharing.parameters)
+        units = np.ones((len(self.groups), len(own)))
+        inverse = identifiable_parameters(here.own, units)[2]
+        first = np.unique(self.sharing.sets.of_row, return_index=True)[1]
+        shared = self.scales[first][:, self.sharing.parameters]
+        return here.eliminate(inverse)[0][:, :-1, :-1] / (shared[:, :, None] * shared[:, None, :])
 
 
 @dataclass(frozen=True, eq=False)
 class _ArrowFactors:
-    """A block-arrow system, solved for g groups in h sets; `products` as in `NormalEquations`."""
+    """A block-arrow system, solved for g groups in h sets."""
 
-    products: Array
+    products: ArrowProducts
     lengths: Array
     sharing: ParameterSharing
     rank_tol: float
@@ -171,18 +303,18 @@ class _ArrowFactors:
     @cached_property
     def own(self) -> SingularFactors:
         """Each group's own parameters, the shared ones fixed."""
-        own = np.flatnonzero(~self.sharing.parameters)
-        form, gradient = self.products[:, own[:, None], own], self.products[:, own, -1]
-        return factorize(form, gradient, self.lengths[:, own], self.rank_tol)
+        lengths = self.lengths[:, ~self.sharing.parameters]
+        return factorize(self.products.own, self.products.across[:, :, -1], lengths, self.rank_tol)
 
     @cached_property
     def border(self) -> SingularFactors:
         """Each set's shared parameters, the own ones eliminated."""
-        total = self.sharing.total(self._eliminated[0])
-        whole = self.sharing.total(np.diagonal(self.products, axis1=1, axis2=2)[:, :-1])
-        lengths = np.sqrt(np.maximum(np.diagonal(total, axis1=1, axis2=2)[:, :-1], 0.0))
+        total, products = self._eliminated[0], self.products
+        lengths = np.sqrt(np.maximum(_diagonal(total)[:, :-1], 0.0))
         # A shared parameter that the own ones can follow has next to no length beside the other effects.
-        seen = lengths > self.rank_tol * np.sqrt(np.max(whole, axis=1, keepdims=True, initial=0.0))
+        longest = np.max(_diagonal(products.border)[:, :-1], axis=1, keepdims=True, initial=0.0)
+        by_own = self.sharing.total(_diagonal(products.own)).max(axis=1, keepdims=True, initial=0.0)
+        seen = lengths > self.rank_tol * np.sqrt(np.maximum(longest, by_own))
         form = total[:, :-1, :-1] * seen[:, :, None] * seen[:, None, :]
         return factorize(form, total[:, :-1, -1] * seen, lengths, self.rank_tol)
 
@@ -206,13 +338,12 @@ class _ArrowFactors:
 
     @cached_property
     def _eliminated(self) -> tuple[Array, Array]:
-        return _eliminate_own(self.products, self.own.inverse(), self.sharing)
+        return self.products.eliminate(self.own.inverse())
 
 
 def shared_covariance(minimum: Minimum, sharing: ParameterSharing, scales: Array) -> Array:
     """Covariance of the parameters that all groups share, shape (q, q)."""
-    border = _reduced(minimum.curvature[:1], sharing, scales[:1])
-    return identifiable_parameters(border, scales[:1, sharing.parameters])[2][0]
+    return identifiable_parameters(minimum.curvature[:1], scales[:1, sharing.parameters])[2][0]
 
 
 def shared_curvature(products: Array, sharing: ParameterSharing, scales: Array) -> Array:

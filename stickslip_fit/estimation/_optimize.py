@@ -9,10 +9,11 @@ Each group has its own parameters and damping. Damped steps after D. Marquardt (
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -147,13 +148,9 @@ def normal_equations(
     model: Model, y: Array, weight: Array, groups: Groups, values: Array, scales: Array
 ) -> NormalEquations:
     """Evaluate the model at each group's values and sum up what follows."""
-    p, root = scales.shape[1], np.sqrt(weight)
-    # One contiguous row a column of [J, r]: summing by group is then a single pass over memory each.
-    columns = np.empty((p + 1, len(y)))
+    p = scales.shape[1]
     with np.errstate(all="ignore"):
-        predicted, jacobian = model(values[groups.of_row])
-        residual = y - predicted
-        columns[:p], columns[p] = jacobian.T * root, residual * root
+        residual, columns = weighted_columns(model, y, weight, values[groups.of_row])
         products = products_by_group(columns, groups)
         units = np.concatenate([scales, np.ones((len(groups), 1))], axis=1)
         products *= units[:, :, None] * units[:, None, :]
@@ -161,6 +158,16 @@ def normal_equations(
     outside = ~np.all(np.isfinite(products), axis=(1, 2))
     products[outside], products[outside, p, p] = 0.0, np.inf
     return NormalEquations(residual, columns, products)
+
+
+def weighted_columns(model: Model, y: Array, weight: Array, values: Array) -> tuple[Array, Array]:
+    """Residuals, (n,), and root weight times [J, r], (p + 1, n), at the values of each row, (n, p)."""
+    # One contiguous row a column of [J, r]: summing by group is then a single pass over memory each.
+    root, columns = np.sqrt(weight), np.empty((values.shape[1] + 1, len(y)))
+    predicted, jacobian = model(values)
+    residual = y - predicted
+    columns[:-1], columns[-1] = jacobian.T * root, residual * root
+    return residual, columns
 
 
 def factorize(
@@ -214,7 +221,7 @@ class Minimum:
     ----------
     values : array, shape (g, p)
     curvature : array, shape (g, p, p)
-        J' W J at the minimum, SI.
+        J' W J at the minimum, SI; see `solve_block_arrow` for that of parameters that groups share.
     residual : array, shape (n,)
     converged : array of bool, shape (g,)
         The last step was below the tolerance; all parameters are determined only where rank is p.
@@ -283,7 +290,9 @@ def minimize(
 
     """
     low, high = np.broadcast_to(lower, scales.shape), np.broadcast_to(upper, scales.shape)
-    objective = Objective(model, y, weight, groups, scales, low, high, rank_tol, tolerance, subset=subset)
+    objective = _GroupObjective(
+        model, y, weight, groups, scales, low, high, rank_tol, tolerance, subset=subset
+    )
     return search(objective, start, damping, most)
 
 
@@ -303,11 +312,12 @@ class Factors(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Objective:
+class Objective[E](ABC):
     """The sums of squares of g groups of n rows, and the accuracy of their minimum; see `minimize`.
 
-    What can only move together is a unit: here each group by itself. One whose sum of squares falls by a
-    smaller share than `least_fall` in `PATIENCE` iterations is given up.
+    What can only move together is a unit: as a rule each group by itself. One whose sum of squares falls by a
+    smaller share than `least_fall` in `PATIENCE` iterations is given up. `E` are the products of slopes and
+    residuals at a point, as of `NormalEquations`.
     """
 
     model: Model
@@ -340,26 +350,62 @@ class Objective:
         """Largest value in each unit, shape (g, p) -> (u,)."""
         return np.max(values, axis=1, initial=0.0)
 
-    def normal_equations(self, values: Array) -> NormalEquations:
+    @abstractmethod
+    def normal_equations(self, values: Array) -> E:
         """Residuals, slopes and their products at a point, shape (g, p)."""
-        return normal_equations(self.model, self.y, self.weight, self.groups, values, self.scales)
 
-    def rounding(self, here: NormalEquations) -> Array:
-        """By how much the sums of squares may be wrong, shape (u,)."""
-        size = self.weight * np.abs(here.residual) * (np.abs(self.y) + np.abs(self.y - here.residual))
+    @abstractmethod
+    def gradient(self, here: E) -> Array:
+        """By how much half the sum of squares falls with each parameter, shape (g, p)."""
+
+    @abstractmethod
+    def lengths(self, here: E) -> Array:
+        """Length of each parameter's slopes, shape (g, p)."""
+
+    @abstractmethod
+    def factors(self, here: E, lengths: Array) -> Factors:
+        """The units' normal equations at a point, solved."""
+
+    @abstractmethod
+    def rank(self, here: E, lengths: Array) -> IntArray:
+        """Directions that the data determine, shape (g,)."""
+
+    @abstractmethod
+    def curvature(self, here: E) -> Array:
+        """See `Minimum.curvature`."""
+
+    def rounding(self, residual: Array) -> Array:
+        """By how much the sums of squares may be wrong, shape (n,) -> (u,)."""
+        size = self.weight * np.abs(residual) * (np.abs(self.y) + np.abs(self.y - residual))
         return self.of_unit(np.finfo(float).eps * self.groups.sums(size))
 
+    def active_bounds(self, here: E, values: Array) -> BoolArray:
+        """Parameters on a bound that the data would push beyond it, shape (g, p)."""
+        neg_gradient = self.gradient(here)
+        return ((values <= self.lower) & (neg_gradient < 0)) | ((values >= self.upper) & (neg_gradient > 0))
+
+    def select(self, some: BoolArray, subset: RowSubsetModel) -> Self:
+        """The objective of some of the groups."""
+        rows = np.flatnonzero(some[self.groups.of_row])
+        arrays: dict[str, Any] = {name: getattr(self, name)[some] for name in ("scales", "lower", "upper")}
+        arrays |= {name: getattr(self, name)[rows] for name in ("y", "weight")}
+        groups, fewer = self.groups.select(some), lambda few: subset(rows[few])
+        return replace(self, model=subset(rows), subset=fewer, groups=groups, **arrays)
+
+
+class _GroupObjective(Objective[NormalEquations]):
+    """Of groups that are units by themselves."""
+
+    def normal_equations(self, values: Array) -> NormalEquations:
+        return normal_equations(self.model, self.y, self.weight, self.groups, values, self.scales)
+
     def gradient(self, here: NormalEquations) -> Array:
-        """By how much half the sum of squares falls with each parameter, shape (g, p)."""
         return here.products[:, :-1, -1]
 
     def lengths(self, here: NormalEquations) -> Array:
-        """Length of each parameter's slopes, shape (g, p)."""
         return here.norms
 
     def factors(self, here: NormalEquations, lengths: Array) -> Factors:
-        """The units' normal equations at a point, solved."""
-
         def whitened(group: int, lengths: Array) -> tuple[Array, Array]:
             rows = self.groups.of_row == group
             return here.columns[:-1, rows].T * (self.scales[group] / lengths), here.columns[-1, rows]
@@ -367,38 +413,24 @@ class Objective:
         form, gradient = here.products[:, :-1, :-1], here.products[:, :-1, -1]
         return factorize(form, gradient, lengths, self.rank_tol, whitened)
 
-    def active_bounds(self, here: NormalEquations, values: Array) -> BoolArray:
-        """Parameters on a bound that the data would push beyond it, shape (g, p)."""
-        neg_gradient = self.gradient(here)
-        return ((values <= self.lower) & (neg_gradient < 0)) | ((values >= self.upper) & (neg_gradient > 0))
-
     def rank(self, here: NormalEquations, lengths: Array) -> IntArray:
-        """Directions that the data determine, shape (g,)."""
         return self.factors(here, lengths).rank
 
     def curvature(self, here: NormalEquations) -> Array:
-        """J' W J of each group, SI, shape (g, p, p)."""
         return here.curvature(self.scales)
-
-    def select(self, some: BoolArray, subset: RowSubsetModel) -> Objective:
-        """The objective of some of the groups."""
-        rows = np.flatnonzero(some[self.groups.of_row])
-        arrays = {name: getattr(self, name)[some] for name in ("scales", "lower", "upper")}
-        arrays |= {name: getattr(self, name)[rows] for name in ("y", "weight")}
-        groups, fewer = self.groups.select(some), lambda few: subset(rows[few])
-        return replace(self, model=subset(rows), subset=fewer, groups=groups, **arrays)
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
     """State of the search.
 
-    `lengths` are the greatest so far, `last_size` that of the last undamped step; `refused` counts the steps
-    refused in a row. `factors` are kept while no unit moves, None after that.
+    `here` is of `Objective.normal_equations`, `lengths` are the greatest so far, `last_size` that of the last
+    undamped step; `refused` counts the steps refused in a row. `factors` are kept while no unit moves, None
+    after that.
     """
 
     values: Array
-    here: NormalEquations
+    here: Any
     lengths: Array
     damping: Array
     refused: IntArray
@@ -420,7 +452,7 @@ class _State:
         )
 
 
-def search(objective: Objective, start: Array, damping: float, most: int) -> Minimum:
+def search(objective: Objective[Any], start: Array, damping: float, most: int) -> Minimum:
     """Minimize an objective from start values, shape (g, p); see `minimize`."""
     values = np.clip(start, objective.lower, objective.upper)
     here, units = objective.normal_equations(values), len(objective.sizes)
@@ -437,7 +469,7 @@ def search(objective: Objective, start: Array, damping: float, most: int) -> Min
     return _iterate(objective, state, most)
 
 
-def _iterate(objective: Objective, state: _State, most: int) -> Minimum:
+def _iterate(objective: Objective[Any], state: _State, most: int) -> Minimum:
     before = np.full(len(state.damping), np.inf)
     for iteration in range(most):
         if objective.least_fall and iteration % PATIENCE == 0:
@@ -456,7 +488,7 @@ def _iterate(objective: Objective, state: _State, most: int) -> Minimum:
     return _build_minimum(objective, state, most)
 
 
-def _advance(objective: Objective, state: _State) -> _State:
+def _advance(objective: Objective[Any], state: _State) -> _State:
     values, here, damping, active = state.values, state.here, state.damping, state.active
     lengths = np.maximum(state.lengths, objective.lengths(here))
     factors = state.factors
@@ -465,7 +497,7 @@ def _advance(objective: Objective, state: _State) -> _State:
         factors = objective.factors(free, lengths)
     undamped, cost = factors.step(np.zeros(len(damping))), objective.of_unit(here.cost)
     offset = relative_offset(factors, cost, objective.sizes)
-    rounding = objective.rounding(here)
+    rounding = objective.rounding(here.residual)
     near = (offset < REL_OFFSET_TOL) | (factors.gain < rounding)
     size = objective.largest(np.abs(undamped))
     # Steps that no longer shrink, so near the minimum, are rounding noise.
@@ -507,7 +539,7 @@ def relative_offset(factors: Factors, cost: Array, sizes: IntArray) -> Array:
         return np.sqrt(factors.gain / rank * np.maximum(sizes - rank, 1) / beyond)
 
 
-def _build_minimum(objective: Objective, state: _State, iterations: int) -> Minimum:
+def _build_minimum(objective: Objective[Any], state: _State, iterations: int) -> Minimum:
     values, here = state.values, state.here
     return Minimum(
         values=values,

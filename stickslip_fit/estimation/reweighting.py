@@ -88,7 +88,7 @@ class ConvergedFit:
         return columns_of(self.whole, self.joints[number])
 
     def minimum_of(self, number: int) -> Minimum:
-        """One joint's share of the minimum."""
+        """One joint's share of the minimum; its curvature is that of the whole."""
         return _minimum_of(self.joints, self.whole, self.minimum, number)
 
 
@@ -143,7 +143,7 @@ def _minimum_of(joints: Sequence[JointProblem], whole: Problem, minimum: Minimum
     columns = columns_of(whole, joints[number])
     return Minimum(
         values=minimum.values[groups, columns],
-        curvature=minimum.curvature[groups][:, columns[:, None], columns],
+        curvature=minimum.curvature,
         residual=minimum.residual[_place(number, [len(joint.y) for joint in joints])],
         converged=minimum.converged[groups],
         rank=minimum.rank[groups],
