@@ -1,4 +1,4 @@
-"""svd: a singular value decomposition that ends on every finite matrix."""
+"""Decompositions that end on every finite matrix, and inverses of what few rows say of many parameters."""
 
 from __future__ import annotations
 
@@ -37,3 +37,38 @@ def svd(matrices: Array) -> tuple[Array, Array, Array]:
     before = matrices.shape[:-2]
     left, singular, right = (np.stack(own) for own in zip(*parts, strict=True))
     return tuple(own.reshape(before + own.shape[1:]) for own in (left, singular, right))  # type: ignore[return-value]
+
+
+def ridge_inverse(rows: Array, precision: Array, least: float) -> Array | None:
+    """The inverse of rows' rows + diag(precision), of fewer rows than columns; (n, q) and (q,) -> (q, q).
+
+    By an n by n system (M. A. Woodbury, 1950). None if divided to a diagonal of 1 the matrix may have an
+    eigenvalue that is less than the share `least` of the largest.
+
+    Examples
+    --------
+    >>> ridge_inverse(np.array([[3.0, 0.0]]), np.array([1.0, 2.0]), 1e-9)
+    array([[0.1, 0. ],
+           [0. , 0.5]])
+    """
+    size = np.einsum("nq,nq->q", rows, rows) + precision
+    share = precision / size
+    gram = (rows / size) @ rows.T
+    if share.min() < least * (np.linalg.eigvalsh(gram)[-1] + share.max()):
+        return None
+    scaled = rows / precision
+    inverse = -scaled.T @ np.linalg.solve(np.eye(len(rows)) + scaled @ rows.T, scaled)
+    inverse[np.diag_indices_from(inverse)] += 1.0 / precision
+    return np.asarray((inverse + inverse.T) / 2.0)
+
+
+def square_root(rows: Array, covariance: Array) -> Array:
+    """A matrix R with R R' = rows covariance rows', (n, q) and (q, q) -> (n, min(n, q)).
+
+    Where a direction of the covariance is unknown, R is 0.
+    """
+    if len(rows) < len(covariance):
+        variance, axes = np.linalg.eigh(rows @ covariance @ rows.T)
+        return np.asarray(axes * np.sqrt(np.maximum(variance, 0.0)))
+    variance, axes = np.linalg.eigh(covariance)
+    return np.asarray(rows @ (axes * np.sqrt(np.maximum(variance, 0.0))))

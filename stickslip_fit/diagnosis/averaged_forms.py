@@ -16,12 +16,12 @@ from itertools import product
 
 import numpy as np
 
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import Mode, NestedTerm, SmoothTerm
 from stickslip_fit.causes.smooth import MIN_PRIOR_SD, prior_sds
 from stickslip_fit.diagnosis.evidence import find_strength
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, VARIANCE_TOL, compute_effects
-from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.linearized import LinearizedFit, split_positions
 from stickslip_fit.diagnosis.smooth_alternatives import BEYOND
 from stickslip_fit.diagnosis.smooth_alternatives import LENGTHS as CARRIER_LENGTHS
 
@@ -77,10 +77,14 @@ class _Forms:
     """
 
     def __init__(self, effects: Sequence[Array], priors: Sequence[Array], residual: Array, df: int) -> None:
-        acts = np.any([np.any(np.abs(one) > EFFECT_TOL, axis=1) for one in effects], axis=0)
         self.priors, self.n_parts, m = priors, len(effects), max(map(len, priors))
-        acting = [one[acts].reshape(np.count_nonzero(acts), -1, m) for one in effects]
-        self.by_length = [_find_covariances(acting, prior, residual[acts]) for prior in priors]
+        acting = [one.reshape(len(one), -1, m) for one in effects]
+        self.by_length: list[list[tuple[Array, Array]]] = [[] for _ in priors]
+        for rows in _split_rows(acting):
+            own = [one[rows] for one in acting]
+            own = [one[:, np.any(one, axis=(0, 2))] for one in own]
+            for known, prior in zip(self.by_length, priors, strict=True):
+                known.append(_find_covariances(own, prior, residual[rows]))
         self.residual, self.df = residual, df
         self.opposite = SHARES if len(effects) == 4 else SHARES[:1]
 
@@ -124,16 +128,33 @@ class _Forms:
 
     def weigh(self, form: Form) -> _Weighed:
         """The size of a form under which the residuals are likeliest."""
-        covariances, residual = self.by_length[form[0]]
-        covariance = np.einsum("p,pij->ij", self.shares(form), covariances)
-        variance, directions = np.linalg.eigh(covariance)
+        shares, variances, coefficients = self.shares(form), [np.zeros(0)], [np.zeros(0)]
+        for covariances, residual in self.by_length[form[0]]:
+            own, directions = np.linalg.eigh(np.einsum("p,pij->ij", shares, covariances))
+            variances.append(own)
+            coefficients.append(directions.T @ residual)
+        variance, along = np.concatenate(variances), np.concatenate(coefficients)
         total = float(variance.sum())
         if total < EFFECT_TOL**2:  # calibration absorbs it
             return _Weighed(-np.inf, 0.0)
         kept = variance > VARIANCE_TOL * total
-        along = directions[:, kept].T @ residual
+        along = along[kept]
         size = find_strength(along, variance[kept] / total, self.residual, self.df)
         return _Weighed(size.evidence, size.strength**2 * size.noise / total)
+
+
+def _split_rows(effects: Sequence[Array]) -> list[IntArray]:
+    """Rows that functions couple with each other, as those of one joint, without any on which none acts.
+
+    Effects, each of shape (n, groups, m), have covariances that are zero between these sets of rows.
+    """
+    acts = np.concatenate([np.any(np.abs(one) > EFFECT_TOL, axis=2) for one in effects], axis=1)
+    near, reach = np.zeros((0, 0), dtype=bool), acts.T @ acts
+    while not np.array_equal(near, reach):
+        near, reach = reach, reach @ reach
+    rows = np.flatnonzero(acts.any(axis=1))
+    first = np.argmax(reach, axis=1)[np.argmax(acts[rows], axis=1)]
+    return [rows[places] for places in split_positions(first)]
 
 
 def _find_covariances(effects: Sequence[Array], prior: Array, residual: Array) -> tuple[Array, Array]:

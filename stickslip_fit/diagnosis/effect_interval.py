@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc, gammaln
 
-from stickslip_fit._linalg import svd
+from stickslip_fit._linalg import ridge_inverse, square_root, svd
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
@@ -54,7 +54,7 @@ class LawEffect:
         Whitened.
     changes : array, shape (n,)
         Of the responses, calibrated with equal weights.
-    spread : array, shape (n, q)
+    spread : array, shape (n, m)
         What `changes` may be off by: times independent standard normal numbers.
     shrunk : bool
         Whether the parameters have a prior, so that `changes` are a posterior mean.
@@ -118,9 +118,7 @@ def estimate_effect(selection: Selection, selected: SelectedCause) -> LawEffect:
     even = plain.project(np.concatenate([changes, linearized.unwhiten(forms)], axis=1))
     slopes, even_forms = (even[:, 1 : len(trials)] - even[:, :1]) / steps, even[:, len(trials) :]
     total = even[:, 0] + even_forms @ sizes
-    # Where a direction of the parameters is unknown, its covariance has no square root but 0.
-    variance, axes = np.linalg.eigh(covariance)
-    own = slopes @ (axes * np.sqrt(np.maximum(variance, 0.0)))
+    own = square_root(slopes, covariance)
     before = plain.project(_departures_lost(selection, selected, values))
     spread = np.concatenate([own, np.sqrt(kept) * even_forms, before], axis=1)
     shrunk = bool(np.isfinite(selection.fit.prior_sd[place]).all())
@@ -166,14 +164,16 @@ def _refit(selection: Selection) -> tuple[Array, Array]:
     """
     fit, problem = selection.fit, selection.expected
     shrinkage, chosen = 1.0 / fit.prior_sd**2, problem.with_laws_as_chosen
-    linearized, slopes, inverse = _linearize_causes(chosen, selection, EFFECT_RANK_TOL)
-    values = fit.values + inverse @ (slopes.T @ linearized.residual - shrinkage * fit.values)
+    known = _linearize_causes(chosen, selection, EFFECT_RANK_TOL)
+    values = fit.values + known.inverse @ (
+        known.slopes.T @ known.linearized.residual - shrinkage * fit.values
+    )
     if problem.uncertain:
-        _, slopes, inverse = _linearize_causes(problem, selection, EFFECT_RANK_TOL)
+        known = _linearize_causes(problem, selection, EFFECT_RANK_TOL)
     lower, upper = _bounds(selection)
     if np.any((values < lower) | (values > upper)):  # so far from the fit, its slopes say nothing
         values = fit.values
-    return values, _covariance(selection, slopes, inverse)
+    return values, _covariance(selection, known.slopes, known)
 
 
 def expected_covariance(selection: Selection) -> Array:
@@ -186,22 +186,42 @@ def expected_covariance(selection: Selection) -> Array:
     if not selection.law_causes:
         return np.zeros((0, 0))
     problem = selection.problem
-    _, slopes, inverse = _linearize_causes(problem, selection, RANK_TOL)
+    known = _linearize_causes(problem, selection, RANK_TOL)
     times = selection.expected.scale / problem.scale
-    return _covariance(selection, slopes * times[:, None], inverse)
+    return _covariance(selection, known.slopes * times[:, None], known)
 
 
-def _linearize_causes(
-    problem: DiagnosisProblem, selection: Selection, rank_tol: float
-) -> tuple[LinearizedFit, Array, Array]:
-    """The laws with causes, calibration projected out, the causes' slopes and inverse information.
+@dataclass(frozen=True, eq=False)
+class _LinearCauses:
+    """The laws with causes, calibration projected out.
 
-    Slopes are whitened, (n, q); the information, (q, q), is that of the rows and the parameters' priors.
+    Attributes
+    ----------
+    slopes : array, shape (n, q)
+        Of the causes, whitened.
+    inverse : array, shape (q, q)
+        Of the information, which is that of the rows and of the parameters' priors and bounds.
+    is_ridge : bool
+        Whether that is what rows and normal priors say, and nothing is left out of its inverse.
     """
+
+    linearized: LinearizedFit
+    slopes: Array
+    inverse: Array
+    is_ridge: bool
+
+
+def _linearize_causes(problem: DiagnosisProblem, selection: Selection, rank_tol: float) -> _LinearCauses:
+    """With dependent parameters, which count as known, left out of the inverse."""
     linearized, slopes = problem.linearize_causes(selection.fit)
+    priors = np.isfinite(selection.fit.prior_sd).all()
+    if priors and len(slopes) < slopes.shape[1] and not np.isfinite(_bounds(selection)).any():
+        inverse = ridge_inverse(slopes, 1.0 / selection.fit.prior_sd**2, rank_tol)
+        if inverse is not None:
+            return _LinearCauses(linearized, slopes, inverse, True)
     correlation, sizes = _standardize(_information(selection, slopes))
-    # Dependent parameters count as known.
-    return linearized, slopes, np.linalg.pinv(correlation, rcond=rank_tol, hermitian=True) / sizes
+    inverse = np.linalg.pinv(correlation, rcond=rank_tol, hermitian=True) / sizes
+    return _LinearCauses(linearized, slopes, inverse, False)
 
 
 def _standardize(information: Array) -> tuple[Array, Array]:
@@ -211,7 +231,7 @@ def _standardize(information: Array) -> tuple[Array, Array]:
     return information / sizes, sizes
 
 
-def _covariance(selection: Selection, slopes: Array, inverse: Array) -> Array:
+def _covariance(selection: Selection, slopes: Array, known: _LinearCauses) -> Array:
     """Of parameters estimated by slopes, (n, q), in units of the noise, which memory may correlate."""
     for one in selection.selected:
         memory = _memory_of(one)
@@ -221,7 +241,12 @@ def _covariance(selection: Selection, slopes: Array, inverse: Array) -> Array:
             slopes = memory.correlate(slopes)
         elif isinstance(one.version, CarryOverTerm):  # beside which the noise is that of the innovations
             slopes = memory.correlate(slopes) / np.sqrt(1.0 - memory.coefficient**2)
-    return np.asarray(inverse @ _information(selection, slopes) @ inverse)
+    inverse = known.inverse
+    if not known.is_ridge:
+        return np.asarray(inverse @ _information(selection, slopes) @ inverse)
+    # The information is that of which this is the inverse, but for the rows: products of n rows, not of q.
+    along, before = slopes @ inverse, known.slopes @ inverse
+    return np.asarray(inverse + along.T @ along - before.T @ before)
 
 
 def _information(selection: Selection, slopes: Array) -> Array:
@@ -231,6 +256,8 @@ def _information(selection: Selection, slopes: Array) -> Array:
     """
     lower, upper = _bounds(selection)
     information = slopes.T @ slopes + np.diag(1.0 / selection.fit.prior_sd**2)
+    if not np.isfinite(upper - lower).any():
+        return information
     correlation, sizes = _standardize(information)
     eigenvalue, vector = np.linalg.eigh(correlation)
     # Of dependent parameters, too, the rows say next to nothing.

@@ -383,6 +383,34 @@ def _orthonormalize(columns: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class SeenCovariance:
+    """Covariance of q parameters of which the data tell r directions, the prior alone all others.
+
+    Kept in place of the (q, q) matrix, which each fold has one of.
+
+    Attributes
+    ----------
+    units : array, shape (q,)
+        Prior standard deviations of the parameters, 1 for those without.
+    axes : array, shape (q, r)
+        Orthonormal directions of the parameters in these units.
+    along : array, shape (r, r)
+        Covariance along them.
+    """
+
+    units: Array
+    axes: Array
+    along: Array
+
+    def toarray(self) -> Array:
+        """The whole covariance, shape (q, q)."""
+        scaled = self.units[:, None] * self.axes
+        covariance = scaled @ (self.along - np.eye(len(self.along))) @ scaled.T
+        covariance[np.diag_indices_from(covariance)] += self.units**2
+        return covariance
+
+
+@dataclass(frozen=True, eq=False)
 class ExtendedFit:
     """Laws and causes fitted together.
 
@@ -392,7 +420,8 @@ class ExtendedFit:
         With the extended laws and their values.
     values : array, shape (q,)
         Of the causes' parameters, one cause after the other.
-    covariance : array, shape (q, q)
+    errors : array, shape (q, q), or SeenCovariance
+        The covariance of `values`.
     residual : array, shape (n,)
         Response less prediction.
     prior_sd : array, shape (q,)
@@ -403,11 +432,16 @@ class ExtendedFit:
 
     parts: tuple[LawBlock, ...]
     values: Array
-    covariance: Array
+    errors: Array | SeenCovariance
     residual: Array
     converged: bool
     prior_sd: Array
     at_bound: BoolArray
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of `values`, shape (q, q)."""
+        return self.errors.toarray() if isinstance(self.errors, SeenCovariance) else self.errors
 
 
 def fit_extended(

@@ -27,6 +27,7 @@ from stickslip_fit.diagnosis.linearized import (
     MIN_EFFECT,
     ExtendedFit,
     LawBlock,
+    SeenCovariance,
     cause_jacobian,
     fit_extended,
     seen_directions,
@@ -79,7 +80,8 @@ class PartialFactor(LinearFactor):
         return self.whole.acts_on(law)
 
     def panel(self, values: Array, joint: int) -> float:
-        return self.whole.panel(values @ self.directions.T, joint)
+        # Functions are as smooth whatever their coefficients.
+        return self.whole.panel(np.zeros((1, len(self.directions))), joint)
 
     def row_values(self, law: StepLaw, rows: Row) -> dict[str, Any]:
         return self.whole.row_values(law, rows)
@@ -105,10 +107,18 @@ class PartialFactor(LinearFactor):
     def _matrices(self, state: State) -> Iterator[tuple[IntArray, Array]]:
         """Traverses on which the same functions act, and these functions' coefficients by all, (m, r)."""
         functions, acts = self._functions_in(state)
-        directions = self.directions.reshape(acts.shape[1], functions.shape[2], -1)
         ways, of_row = unique_rows(acts)
         for way, places in zip(ways, split_positions(of_row), strict=True):
-            yield places, np.tensordot(way, directions, 1)
+            if (key := way.tobytes()) not in self._known:
+                directions = self.directions.reshape(len(way), functions.shape[2], -1)
+                acting = np.flatnonzero(way)  # few of the functions of many sessions
+                self._known[key] = np.tensordot(way[acting], directions[acting], 1)
+            yield places, self._known[key]
+
+    @cached_property
+    def _known(self) -> dict[bytes, Array]:
+        """Matrices by the way that they are for: a fit asks for them again and again."""
+        return {}
 
     def sum_of(self, functions: Array, coefficients: Array) -> Array:
         return self.whole.sum_of(functions, coefficients)
@@ -184,12 +194,10 @@ class _Directions:
         self, fit: ExtendedFit, values: Array, causes: Sequence[Any], parts: Sequence[LawBlock]
     ) -> ExtendedFit:
         """The fit as one of all parameters: what the rows do not see is as the prior has it."""
-        unseen = np.eye(len(self.axes)) - self.axes @ self.axes.T
-        covariance = (self.axes @ fit.covariance @ self.axes.T + unseen) * np.outer(self.units, self.units)
         return ExtendedFit(
             _extend(parts, causes, values),
             values,
-            covariance,
+            SeenCovariance(self.units, self.axes, fit.covariance),
             fit.residual,
             fit.converged,
             np.array([parameter.prior_sd for cause in causes for parameter in cause.parameters]),

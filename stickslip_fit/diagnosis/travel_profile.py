@@ -117,7 +117,9 @@ def _compute(
     mean = factor.mean()
     change = factor / mean - 1.0
     relative = (jacobian - (1.0 + change)[:, None] * jacobian.mean(axis=0)) / mean
-    error = np.sqrt(np.maximum(np.einsum("kq,qr,kr->k", relative, covariance, relative), 0.0))
+    acting = np.flatnonzero(relative.any(axis=0))  # of functions of many sessions those of one
+    relative, own = relative[:, acting], covariance[np.ix_(acting, acting)]
+    error = np.sqrt(np.maximum(np.vecdot(relative @ own, relative), 0.0))
     return TravelProfile(joint, direction, session, places, change, error)
 
 

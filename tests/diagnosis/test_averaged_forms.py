@@ -8,7 +8,7 @@ import pytest
 
 from stickslip_fit.causes.proposed import SmoothTerm
 from stickslip_fit.causes.smooth import prior_sds
-from stickslip_fit.diagnosis.averaged_forms import LEARNING_RATE, LENGTHS, SHARES, average_forms
+from stickslip_fit.diagnosis.averaged_forms import LEARNING_RATE, LENGTHS, SHARES, _Forms, average_forms
 from stickslip_fit.diagnosis.evidence import WIDE_STRENGTHS, find_strength
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.problem import problem_from_log
@@ -121,6 +121,31 @@ def test_it_is_the_average_over_all_forms_by_their_dense_covariances(tmp_path):
         expected = sum(w * one[key] for w, one in zip(weight, size, strict=True)) / weight.sum()
         assert own.sum() == pytest.approx(expected.sum(), rel=0.05)
         np.testing.assert_allclose(own[:5], expected[:5], rtol=0.1)
+
+
+def test_functions_that_no_row_has_together_are_weighed_as_by_one_covariance():
+    """Those of two joints, with a common part and one of each of two sessions; a row is of no function."""
+    rng, m = np.random.default_rng(6), 4
+    joint, session = np.repeat([0, 1], 20), np.tile([0, 1], 20)
+    waves = rng.standard_normal((40, m))
+    waves[7] = 0.0
+    common = ((joint[:, None] == [0, 1])[:, :, None] * waves[:, None]).reshape(40, -1)
+    own = ((2 * joint + session)[:, None] == np.arange(4))[:, :, None] * waves[:, None]
+    effects, prior = [common, own.reshape(40, -1)], np.array([1.0, 0.5, 0.3, 0.1])
+    residual = common @ rng.standard_normal(2 * m) + rng.standard_normal(40)
+    forms = _Forms(effects, [prior], residual, 30)
+    for place, share in enumerate(SHARES):
+        covariance = sum(
+            part * (one * np.tile(prior, one.shape[1] // m) ** 2) @ one.T
+            for part, one in zip((1.0 - share, share), effects, strict=True)
+        )
+        total = np.trace(covariance)
+        logs = []
+        for strength in WIDE_STRENGTHS:
+            whole = np.eye(40) + strength**2 / total * covariance
+            left = residual @ np.linalg.solve(whole, residual) / (residual @ residual)
+            logs.append(-0.5 * np.linalg.slogdet(whole)[1] - 15.0 * np.log(left))
+        assert forms.weigh((0, 0, place)).evidence == pytest.approx(max(logs), abs=1e-6)
 
 
 def test_what_a_function_leaves_of_residuals_that_it_explains_is_not_lost_to_rounding():
