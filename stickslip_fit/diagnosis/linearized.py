@@ -465,50 +465,42 @@ def fit_extended(
     widest, shared = max(part.values.shape[1] for part in parts) - n_shared, n_shared + len(start)
     columns_of = [np.r_[: part.values.shape[1] - n_shared, widest : widest + shared] for part in parts]
     prior_sd = np.array([parameter.prior_sd for cause in causes for parameter in cause.parameters])
-    penalised = np.flatnonzero(np.isfinite(prior_sd))
-    blocks, n, n_all = _group_blocks(rows, parts), len(rows), len(rows) + len(penalised)
-    # A prior is one more row, of the first block for want of a better one.
-    blocks = replace(blocks, of_row=np.append(blocks.of_row, np.zeros(len(penalised), dtype=np.intp)))
+    blocks, n = _group_blocks(rows, parts), len(rows)
     models = [law.model(RowSubset(rows, part.rows)) for law, part in zip(extended, parts, strict=True)]
 
     def model(values: Array) -> tuple[Array, Array]:
-        predicted, slopes = np.empty(n_all), np.zeros((n_all, widest + shared))
-        at = widest + n_shared + penalised
-        predicted[n:] = values[n:, at].diagonal()
-        slopes[np.arange(n, n_all), at] = 1.0
+        predicted, slopes = np.empty(n), np.zeros((n, widest + shared))
         for part, part_model, columns in zip(parts, models, columns_of, strict=True):
             block = np.ix_(part.rows, columns)
             predicted[part.rows], slopes[block] = part_model(values[block])
         return predicted, slopes
 
-    def whitened(columns: Array) -> Array:
-        return np.concatenate([whiten(columns[:n], scale, noise_filter), columns[n:]])
-
     def whitened_model(values: Array) -> tuple[Array, Array]:
         predicted, slopes = model(values)
-        return whitened(predicted), whitened(slopes)
+        return whiten(predicted, scale, noise_filter), whiten(slopes, scale, noise_filter)
 
     first, scales, lower, upper = _prepare_start(parts, columns_of, blocks, causes, start)
     last = slice(widest + n_shared, None)
     sharing = share_with_all(np.arange(widest + shared) >= widest, blocks)
     options: Any = {"offset_tol": OFFSET_TOL, "least_fall": LEAST_FALL, "most": MAX_STEPS}
-    y, weight = np.append(responses, np.zeros(len(penalised))), 1.0 / prior_sd[penalised] ** 2
+    options["precision"] = np.concatenate([np.zeros(n_shared), 1.0 / prior_sd**2])
     data = (
-        (model, y, np.append(1.0 / scale**2, weight))
+        (model, responses, 1.0 / scale**2)
         if noise_filter is None
-        else (whitened_model, whitened(y), np.append(np.ones(n), weight))
+        else (whitened_model, whiten(responses, scale, noise_filter), np.ones(n))
     )
     if not any(hasattr(part.law, "joint") for part in parts):
-        scales = _equal_lengths(data[0](first[blocks.of_row])[1], data[2], blocks, scales)
+        slopes = data[0](first[blocks.of_row])[1]
+        scales = _equal_lengths(slopes, data[2], blocks, scales, options["precision"])
     options |= {"lower": lower, "upper": upper, "tolerance": 0.0}
     minimum = solve_block_arrow(*data, blocks, sharing, first, scales, **options)
     fitted = tuple(
         replace(part, law=law, values=minimum.values[np.ix_(blocks.of_row[part.rows], columns)])
         for law, part, columns in zip(extended, parts, columns_of, strict=True)
     )
-    residual = minimum.residual[:n]
+    residual = minimum.residual
     if noise_filter is not None:
-        residual = responses - model(minimum.values[blocks.of_row])[0][:n]
+        residual = responses - model(minimum.values[blocks.of_row])[0]
     covariance = shared_covariance(minimum, sharing, scales)[n_shared:, n_shared:]
     values, at_bound = minimum.values[0, last], minimum.at_bound[0, last]
     converged = bool(minimum.converged.all())
@@ -544,12 +536,14 @@ def _prepare_start(
     return first, scales, lower, upper
 
 
-def _equal_lengths(slopes: Array, weight: Array, blocks: Groups, scales: Array) -> Array:
+def _equal_lengths(slopes: Array, weight: Array, blocks: Groups, scales: Array, precision: Array) -> Array:
     """Scales with which every column is as long, in each block: the units of a table have nothing in common.
 
-    What the rows say nothing of keeps its scale.
+    The `precision` of priors of the last parameters counts in the first block. What the rows say nothing of
+    keeps its scale.
     """
     squares = np.stack([blocks.sums(weight * column**2) for column in slopes.T], axis=1)
+    squares[0, squares.shape[1] - len(precision) :] += precision
     return np.where(squares > 0, 1.0 / np.sqrt(np.where(squares > 0, squares, 1.0)), scales)
 
 

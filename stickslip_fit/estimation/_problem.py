@@ -160,25 +160,19 @@ class Problem:
         return minimize(*data, subset=self.subset, lower=self.lower, upper=self.upper, damping=0.0, most=most)
 
     def _minimize_penalised(self, weight: Array, start: Array, most: int) -> Minimum:
-        """With a row for each prior, of the first group for want of a better one."""
-        n, at = len(self.y), self.penalised
-        rows = np.zeros((len(at), start.shape[1]))
-        rows[np.arange(len(at)), at] = 1.0
-        groups = replace(self.groups, of_row=np.append(self.groups.of_row, np.zeros(len(at), dtype=np.intp)))
-
-        def model(values: Array) -> tuple[Array, Array]:
-            predicted, slopes = self.model(values[:n])
-            return np.append(predicted, values[n:, at].diagonal()), np.concatenate([slopes, rows])
-
-        data = model, np.append(self.y, np.zeros(len(at))), np.append(weight, self.prior_weight)
-        minimum = solve_block_arrow(
-            *data, groups, self.sharing, start, self.scales, lower=self.lower, upper=self.upper, most=most
-        )
+        """With the priors, which count as rows of the first group for want of a better one."""
+        shared = np.flatnonzero(self.sharing.parameters)
+        precision = np.zeros(len(shared))
+        precision[np.searchsorted(shared, self.penalised)] = self.prior_weight
+        data = (self.model, self.y, weight, self.groups, self.sharing, start, self.scales)
+        minimum = solve_block_arrow(*data, precision=precision, lower=self.lower, upper=self.upper, most=most)
         # A parameter that the prior determines takes no degree of freedom of the data.
         variance = np.diag(shared_covariance(minimum, self.sharing, self.scales))
         by_prior = float(variance[np.isfinite(self.prior_sd)] @ self.prior_weight)
-        spread = np.diff(np.round(by_prior * np.cumsum(groups.sizes) / groups.sizes.sum()), prepend=0.0)
-        return replace(minimum, residual=minimum.residual[:n], rank=minimum.rank - spread.astype(np.intp))
+        sizes = self.groups.sizes.copy()
+        sizes[0] += len(self.penalised)
+        spread = np.diff(np.round(by_prior * np.cumsum(sizes) / sizes.sum()), prepend=0.0)
+        return replace(minimum, rank=minimum.rank - spread.astype(np.intp))
 
     def curvature(self, slopes: Array, information: Array) -> Array:
         """Half the second derivative by every group's parameters, all rows and priors together; (g, p, p)."""

@@ -144,6 +144,31 @@ def test_more_shared_parameters_than_rows_of_any_group_in_two_sets(held):
     assert found.rank.sum() == 40
 
 
+@pytest.mark.parametrize("n", [6, 30])
+def test_parameters_with_priors_be_they_more_than_rows_or_fewer(n):
+    """20 shared ones beside 2 own ones of each of 4 groups, against ridge regression by a dense matrix."""
+    rng = np.random.default_rng(9)
+    groups = Groups(pd.DataFrame({"group": range(4)}), np.tile(np.arange(4), n // 2 + 1))
+    rows, names = len(groups.of_row), np.arange(22)
+    slopes, model = make_linear(rng, groups, 22)
+    y, weight, precision = rng.standard_normal(rows), rng.uniform(1.0, 9.0, rows), rng.uniform(0.5, 50.0, 20)
+    scales = np.tile(rng.uniform(0.1, 10.0, 22), (4, 1))
+    found = solve_block_arrow(
+        model, y, weight, groups, share_with_all(names >= 2, groups), np.zeros((4, 22)), scales,
+        precision=precision,
+    )  # fmt: skip
+    blocks = [slopes[:, :2] * (groups.of_row == group)[:, None] for group in range(4)]
+    design = np.concatenate([*blocks, slopes[:, 2:]], axis=1)
+    information = design.T @ (weight[:, None] * design) + np.diag(np.r_[np.zeros(8), precision])
+    whole = np.linalg.solve(information, design.T @ (weight * y))
+    assert found.converged.all()
+    assert found.values[:, 2:] == pytest.approx(np.tile(whole[8:], (4, 1)), abs=1e-9)
+    assert found.values[:, :2].ravel() == pytest.approx(whole[:8], abs=1e-8)
+    covariance = np.linalg.inv(information)[8:, 8:]
+    assert np.linalg.inv(found.curvature[0]) == pytest.approx(covariance, rel=1e-6, abs=1e-12)
+    assert found.rank.sum() == 28
+
+
 def test_a_group_where_the_model_has_no_value_costs_infinitely_much():
     rng = np.random.default_rng(8)
     groups = Groups(pd.DataFrame({"group": range(2)}), np.repeat([0, 1], 10))
