@@ -204,14 +204,21 @@ class RidgeFactors:
     @cached_property
     def gain(self) -> Array:
         """See `Factors`."""
-        return np.vecdot(self.border.gradient, self.step(np.zeros(1)))
+        return np.vecdot(self.border.gradient, self._undamped)
 
     def step(self, damping: Array) -> Array:
         """See `Factors`; (1,) -> (1, q)."""
-        rows, precision = self.border.others[:-1].T, self.border.precision + damping * self.lengths[0] ** 2
-        step, scaled = self.border.gradient[0] / precision, rows / precision
-        answer = np.linalg.solve(np.eye(len(rows)) + scaled @ rows.T, rows @ step)
-        return np.asarray((step - answer @ scaled)[None])
+        return self._solve(damping) if damping.any() else self._undamped
+
+    @cached_property
+    def _undamped(self) -> Array:
+        return self._solve(np.zeros(1))
+
+    def _solve(self, damping: Array) -> Array:
+        columns, precision = self.border.others[:-1], self.border.precision + damping * self.lengths[0] ** 2
+        step, scaled = self.border.gradient[0] / precision, columns / precision[:, None]
+        answer = np.linalg.solve(np.eye(columns.shape[1]) + columns.T @ scaled, step @ columns)
+        return np.asarray((step - scaled @ answer)[None])
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,10 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._linalg import ridge_inverse
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.errors import InputError
+from stickslip_fit.estimation._arrow_products import RowBorder, multiply_arrow
 from stickslip_fit.estimation._block_arrow import (
     ParameterSharing,
     share_by_direction,
@@ -28,7 +30,9 @@ from stickslip_fit.estimation._block_arrow import (
 )
 from stickslip_fit.estimation._groups import Groups, group_rows, mean_step_sizes
 from stickslip_fit.estimation._optimize import Minimum, RowSubsetModel, minimize, products_by_group
+from stickslip_fit.estimation.identifiability import identifiable_parameters
 from stickslip_fit.estimation.noise import GAUSSIAN, GIVEN_DF, Likelihood, NoiseLevel
+from stickslip_fit.estimation.shared_estimate import SharedCovariance
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.laws.base import Model
 
@@ -167,7 +171,11 @@ class Problem:
         data = (self.model, self.y, weight, self.groups, self.sharing, start, self.scales)
         minimum = solve_block_arrow(*data, precision=precision, lower=self.lower, upper=self.upper, most=most)
         # A parameter that the prior determines takes no degree of freedom of the data.
-        variance = np.diag(shared_covariance(minimum, self.sharing, self.scales))
+        if self.has_more_than_rows:
+            slopes = self.model(minimum.values[self.groups.of_row])[1]
+            variance = np.diag(self.estimate_shared(slopes, weight)[1].shared)
+        else:
+            variance = np.diag(shared_covariance(minimum, self.sharing, self.scales))
         by_prior = float(variance[np.isfinite(self.prior_sd)] @ self.prior_weight)
         sizes = self.groups.sizes.copy()
         sizes[0] += len(self.penalised)
@@ -180,6 +188,42 @@ class Problem:
         curvature = shared_curvature(products, self.sharing, self.scales)
         curvature[:, self.penalised, self.penalised] += self.prior_weight
         return curvature
+
+    @property
+    def has_more_than_rows(self) -> bool:
+        """Whether more parameters than rows are shared, and all of them have priors."""
+        return len(self.y) < len(self.penalised) == np.count_nonzero(self.sharing.parameters)
+
+    def estimate_shared(self, slopes: Array, information: Array) -> tuple[BoolArray, SharedCovariance, Array]:
+        """As `identifiable_parameters` where there are more parameters than rows.
+
+        Returns
+        -------
+        known : array of bool, shape (g, p)
+        covariance : SharedCovariance
+        curvature : array, shape (g, p - q, p - q)
+            J' W J of the own parameters.
+        """
+        shared, units = self.sharing.parameters, self.scales[0, self.sharing.parameters]
+        columns = np.concatenate([slopes.T * np.sqrt(information), np.zeros((1, len(slopes)))])
+        products = multiply_arrow(
+            *(self.sharing, self.groups, np.zeros(len(slopes)), columns, self.scales),
+            *(np.zeros(len(units)), self.prior_weight),
+        )
+        # What no row shows of the own parameters is none of the shared ones', which have their priors.
+        known, _, inverse = identifiable_parameters(products.own, np.ones(products.own.shape[:2]))
+        reduced, follow = products.eliminate(inverse)
+        assert isinstance(reduced, RowBorder)
+        covariance = ridge_inverse(reduced.others[:-1].T, reduced.precision, 0.0)
+        assert covariance is not None
+        across = -follow[:, :, :-1] @ covariance
+        own, scales = inverse - across @ follow[:, :, :-1].swapaxes(1, 2), self.scales[:, ~shared]
+        sizes = scales[:, :, None] * scales[:, None, :]
+        every = np.ones(self.scales.shape, dtype=bool)
+        every[:, ~shared] = known
+        parts = own * sizes, across * scales[:, :, None] * units, covariance * units * units[:, None]
+        unknown = np.zeros(len(own), dtype=bool)
+        return every, SharedCovariance(*parts, unknown), products.own / sizes
 
     def gradient(self, slopes: Array, weighted_residual: Array) -> Array:
         """By how much half the sum of squares falls with each parameter, shape (g, p)."""

@@ -168,7 +168,8 @@ def _df_text(noise: NoiseLevel) -> str:
 
 def own_parameters(fit: JointFit) -> list[Parameter]:
     """Parameters of the published law, without those of causes."""
-    return [parameter for parameter in fit.law.parameters if parameter.name not in fit.cause_parameters]
+    of_causes = set(fit.cause_parameters)
+    return [parameter for parameter in fit.law.parameters if parameter.name not in of_causes]
 
 
 def departures_tables(result: Result) -> list[Table]:

@@ -9,7 +9,9 @@ D. Watts, Nonlinear Regression Analysis and Its Applications (Wiley, 1988), Ch. 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +19,7 @@ import pandas as pd
 
 from stickslip_fit._format import format_value, join_words, pluralize
 from stickslip_fit._progress import ProgressCallback, ignore_progress
-from stickslip_fit._typing import Array, BoolArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes import Cause, ExtendedLaw
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation._groups import Groups, group_rows, mean_step_sizes, usable_rows
@@ -43,6 +45,7 @@ from stickslip_fit.estimation.noise import (
 )
 from stickslip_fit.estimation.result import JointFit, Result, build_provenance
 from stickslip_fit.estimation.reweighting import ConvergedFit, flag_outliers, from_residuals, iterate_weights
+from stickslip_fit.estimation.shared_estimate import Covariances, SharedCovariance
 from stickslip_fit.estimation.travel import driven_stretches
 from stickslip_fit.estimation.with_causes import (
     FixedCauseLaw,
@@ -177,7 +180,7 @@ def _differentiate_minimum(fit: ConvergedFit, joint: JointFit) -> Array:
     assert isinstance(law, FixedCauseLaw)
     slopes = law.extended.model(problem.rows)(law.whole(joint.values[problem.groups.of_row]))[1]
     fall = [problem.gradient(slopes[:, :own], fit.information * slope) for slope in slopes[:, own:].T]
-    return -joint.covariance @ np.stack(fall, axis=-1)
+    return -np.asarray(joint.covariance) @ np.stack(fall, axis=-1)
 
 
 def _label_noise(noise_ratio: Array, rows: pd.DataFrame) -> pd.Series:
@@ -203,16 +206,59 @@ def _joint_results(
     """Each joint's fit, its residuals, shape (n,), and the flags on it."""
     whole, minimum, of_row = fit.whole, fit.minimum, fit.whole.groups.of_row
     slopes = whole.model(minimum.values[of_row])[1]
-    curvature = whole.curvature(slopes * ~minimum.at_bound[of_row], fit.information)
-    unbounded = curvature
+    estimate: _Estimate
+    if whole.has_more_than_rows and not minimum.at_bound.any():
+        estimate = _ByRows(*whole.estimate_shared(slopes, fit.information))
+    else:
+        estimate = _ByCurvature(whole.curvature(slopes * ~minimum.at_bound[of_row], fit.information))
+    unbounded = estimate
     if minimum.at_bound.any():
-        unbounded = whole.curvature(slopes, fit.information)
+        unbounded = _ByCurvature(whole.curvature(slopes, fit.information))
     gradient = whole.gradient(slopes, fit.weight * minimum.residual)
     common = _common_half_widths(fit, slopes)
     return [
-        _joint_result(fit, number, common, curvature, unbounded, gradient, machine, options)
+        _joint_result(fit, number, common, estimate, unbounded, gradient, machine, options)
         for number in range(len(fit.joints))
     ]
+
+
+_OfJoint = tuple[BoolArray, Covariances, Array]
+"""Which parameters are known, their covariance, and the curvature by them, of each of a joint's groups."""
+
+
+class _Estimate(Protocol):
+    """What is known of the parameters of all joints' groups."""
+
+    def of_joint(self, place: slice, columns: IntArray, scales: Array) -> _OfJoint:
+        """Of a joint's groups and columns, with the scales of its parameters."""
+
+
+@dataclass(frozen=True, eq=False)
+class _ByCurvature:
+    """By the curvature, shape (g, p, p)."""
+
+    curvature: Array
+
+    def of_joint(self, place: slice, columns: IntArray, scales: Array) -> _OfJoint:
+        """See `_Estimate`."""
+        curvature = self.curvature[place][:, columns[:, None], columns]
+        known, _, covariance = identifiable_parameters(curvature, scales)
+        return known, covariance, curvature
+
+
+@dataclass(frozen=True, eq=False)
+class _ByRows:
+    """By the rows, of which there are fewer than parameters; see `Problem.estimate_shared`."""
+
+    known: BoolArray
+    covariance: SharedCovariance
+    own: Array
+
+    def of_joint(self, place: slice, columns: IntArray, scales: Array) -> _OfJoint:
+        """See `_Estimate`; the curvature is that by the joint's own parameters only."""
+        first = columns[: len(columns) - len(self.covariance.shared)]
+        own = self.own[place][:, first[:, None], first]
+        return self.known[place][:, columns], self.covariance.select(place, first), own
 
 
 def _common_half_widths(fit: ConvergedFit, slopes: Array) -> Array:
@@ -240,34 +286,35 @@ def _joint_result(
     fit: ConvergedFit,
     number: int,
     common: Array,
-    all_curvature: Array,
-    all_unbounded: Array,
+    estimate: _Estimate,
+    all_unbounded: _Estimate,
     all_gradient: Array,
     machine: Machine,
     options: FitOptions,
 ) -> tuple[JointFit, Array, list[Flag]]:
-    """See `_joint_results`; curvature with and without active bounds, and gradient, are of all joints.
+    """See `_joint_results`; estimates with and without active bounds, and gradient, are of all joints.
 
     `common` are the half-widths of the last parameters' intervals, shape (q,), which are those of all joints.
     """
     problem, minimum, repeatability = fit.joints[number], fit.minimum_of(number), fit.repeatability[number]
     law, groups, values, at_bound = problem.law, problem.groups, minimum.values, minimum.at_bound
     place, columns = fit.groups(number), fit.columns(number)
-    curvature = all_curvature[place][:, columns[:, None], columns]
-    known, _, covariance = identifiable_parameters(curvature, problem.scales)
+    known, covariance, curvature = estimate.of_joint(place, columns, problem.scales)
     known |= at_bound | _not_applicable(law)
-    covariance *= ~(at_bound[:, :, None] | at_bound[:, None, :])
     by_group = interval_half_widths(groups.table, repeatability)
-    covariance[np.isnan(by_group[:, 0])] = np.nan
+    without_bars = np.isnan(by_group[:, 0])
+    if isinstance(covariance, SharedCovariance):
+        covariance = replace(covariance, unknown=without_bars)
+    else:
+        covariance *= ~(at_bound[:, :, None] | at_bound[:, None, :])
+        covariance[without_bars] = np.nan
     reach = np.tile(by_group, values.shape[1])
     reach[:, values.shape[1] - len(common) :] = common
     interval = quadratic_interval(values, covariance, reach)
     if at_bound.any():
-        _, _, unbounded = identifiable_parameters(
-            all_unbounded[place][:, columns[:, None], columns], problem.scales
-        )
+        _, unbounded, _ = all_unbounded.of_joint(place, columns, problem.scales)
         interval[at_bound] = one_sided_intervals(
-            values, at_bound, problem.lower, all_gradient[place, columns], unbounded, reach
+            values, at_bound, problem.lower, all_gradient[place, columns], np.asarray(unbounded), reach
         )
     shared = tuple(parameter.name for parameter in law.parameters if parameter.name in options.shared)
     travel = driven_stretches(problem.rows)

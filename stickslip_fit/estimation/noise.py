@@ -16,6 +16,7 @@ from scipy.special import chdtr, chdtrc, stdtrit
 
 from stickslip_fit._format import format_value
 from stickslip_fit._typing import Array, BoolArray
+from stickslip_fit.estimation.shared_estimate import Covariances, find_variances
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs.schema import position_columns
 
@@ -250,12 +251,12 @@ def flag_doubtful_repeatability(
 COVERAGE = 0.95
 
 
-def quadratic_interval(values: Array, covariance: Array, reach: Array) -> Array:
+def quadratic_interval(values: Array, covariance: Covariances, reach: Array) -> Array:
     """Estimate, shape (g, p), plus and minus `reach` times its standard error, shape (g, p, 2).
 
     `reach` has shape (g, 1) or (g, p); NaN where there is no error bar.
     """
-    half = reach * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    half = reach * np.sqrt(find_variances(covariance))
     return np.stack([values - half, values + half], axis=-1)
 
 

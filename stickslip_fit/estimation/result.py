@@ -27,6 +27,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes import ExtendedLaw, describe
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation.noise import Flag, NoiseLevel, t_quantile
+from stickslip_fit.estimation.shared_estimate import Covariances, SharedCovariance, find_variances
 from stickslip_fit.estimation.travel import Stretches, undriven_share
 from stickslip_fit.laws import StepLaw, expected_steps, traverse_length
 from stickslip_fit.logs import Log
@@ -110,8 +111,9 @@ class JointFit:
         Parameters, SI. Where the log knows only a combination of them, one that fits it.
     known : array of bool, shape (g, p)
         Which of `values` the log determines one by one.
-    covariance : array, shape (g, p, p)
-        Of `values`; NaN where no error bar can be given.
+    covariance : array, shape (g, p, p), or SharedCovariance
+        Of `values`; NaN where no error bar can be given. Kept by its parts where there are thousands of
+        parameters.
     interval : array, shape (g, p, 2)
         95 % of each parameter, low and high.
     repeatability : dict of str to NoiseLevel
@@ -127,7 +129,7 @@ class JointFit:
     groups: pd.DataFrame
     values: Array
     known: npt.NDArray[np.bool_]
-    covariance: Array
+    covariance: Covariances
     interval: Array
     repeatability: dict[str, NoiseLevel]
     shared: tuple[str, ...] = ()
@@ -164,8 +166,13 @@ class JointFit:
         moments = first + np.flatnonzero(
             [one.sudden for one in self.law.cause_parameters] & np.array(own, bool)
         )
-        values, covariance = self.values.copy(), self.covariance.copy()
+        values = self.values.copy()
         values[:, [*smooth, *moments]] = 0.0
+        if isinstance(self.covariance, SharedCovariance):
+            places = np.array([*smooth, *moments], dtype=np.intp) - first
+            variance = np.append(sds[smooth - first] ** 2, np.zeros(len(moments)))
+            return replace(self, values=values, covariance=self.covariance.with_shared(places, variance))
+        covariance = self.covariance.copy()
         for place in (smooth, moments):
             covariance[:, place, :] = 0.0
             covariance[:, :, place] = 0.0
@@ -278,7 +285,7 @@ class Result(Summarized):
         table.insert(0, "name", names * len(fit.groups))
         table.insert(1, "joint", fit.law.joint)
         table["unit"] = [parameter.unit for parameter in parameters] * len(fit.groups)
-        variance = np.diagonal(fit.covariance, axis1=1, axis2=2)
+        variance = find_variances(fit.covariance)
         error = np.sqrt(np.where(variance > 0, variance, np.nan))
         columns = (fit.values, error, fit.interval[..., 0], fit.interval[..., 1])
         for name, column in zip(PARAMETER_NUMBERS, columns, strict=True):
@@ -472,6 +479,7 @@ def has_enough_replicates(noise: NoiseLevel) -> bool:
 FORMAT, VERSION = "stickslip-fit/result", 1
 COMMON_TOL = 1e-6  # relative, and of a standard error: each group has its own rounding
 ROUNDING_TOL = 1e-12  # of a correlation
+MAX_WHOLE = 1000  # parameters of causes, beyond which covariances are kept by their parts
 SCHEMA = f"{FORMAT}/{VERSION}"
 
 
@@ -505,7 +513,8 @@ def write_result_json(content: dict[str, Any], path: str | Path, sources: Sequen
     Raises InputError if it cannot be written, or is one of the files `sources` that the result is of.
     """
     content = content | {"checksum": compute_checksum(content)}
-    write_json(path, content, sources)
+    many = len(content.get("cause_covariance", ())) > MAX_WHOLE
+    write_json(path, content, sources, indent=None if many else 1)
 
 
 def compute_checksum(content: dict[str, Any]) -> str:
@@ -542,6 +551,8 @@ def _common_covariance(fits: Iterable[JointFit]) -> Array | None:
     common = None
     for fit in fits:
         own = fit.values.shape[1] - len(fit.cause_parameters)
+        if isinstance(fit.covariance, SharedCovariance):
+            return fit.covariance.shared
         for matrix in fit.covariance:
             block, unknown = matrix[own:, own:], np.isnan(matrix[own:]).all()
             if unknown or not len(block):
@@ -557,7 +568,10 @@ def _triangle_to_json(covariance: Array) -> list[list[float]]:
     """The lower triangle, to ten digits, without what is rounding beside the variances."""
     sd = np.sqrt(np.abs(np.diag(covariance)))
     kept = np.where(np.abs(covariance) > ROUNDING_TOL * np.outer(sd, sd), covariance, 0.0)
-    return [[float(f"{value:.10g}") for value in row[: k + 1]] for k, row in enumerate(kept.tolist())]
+    return [
+        [float(f"{value:.10g}") if value else 0.0 for value in row[: k + 1].tolist()]
+        for k, row in enumerate(kept)
+    ]
 
 
 def _joint_to_json(fit: JointFit, common: Array | None) -> dict[str, Any]:
@@ -569,7 +583,11 @@ def _joint_to_json(fit: JointFit, common: Array | None) -> dict[str, Any]:
         "shared": list(fit.shared),
         "values": to_plain(fit.values),
         "known": fit.known.tolist(),
-        "covariance": to_plain(fit.covariance[:, :, :own]),
+        "covariance": to_plain(
+            fit.covariance.columns
+            if isinstance(fit.covariance, SharedCovariance)
+            else fit.covariance[:, :, :own]
+        ),
         "interval": to_plain(fit.interval),
         "repeatability": {
             direction: {**asdict(noise), "value": to_plain(noise.value)}

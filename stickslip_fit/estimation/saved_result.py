@@ -24,6 +24,7 @@ from stickslip_fit.estimation.noise import Flag, NoiseLevel
 from stickslip_fit.estimation.result import (
     COMMON_TOL,
     FORMAT,
+    MAX_WHOLE,
     VERSION,
     JointFit,
     Provenance,
@@ -31,6 +32,7 @@ from stickslip_fit.estimation.result import (
     compute_checksum,
     parameters_to_json,
 )
+from stickslip_fit.estimation.shared_estimate import NEGATIVE_TOL, Covariances, SharedCovariance
 from stickslip_fit.estimation.travel import are_stretches
 from stickslip_fit.laws import Laws, StepLaw, UnknownLawError
 from stickslip_fit.logs.schema import CONDITIONS
@@ -39,7 +41,6 @@ from stickslip_fit.machine import Machine
 STEP_SIZES = 1e-12, 1e-2  # rad or m; beyond, the numbers are in other units
 MAX_LENGTH = 10.0  # m, of a manipulator
 MAX_REPEATABILITY = 10.0
-NEGATIVE_TOL = 1e-6  # of a correlation matrix's eigenvalues, relative to its size
 ADVICE = "fit the log again"
 
 
@@ -147,6 +148,7 @@ def _build_result(content: dict[str, Any], causes: Sequence[Cause], laws: Laws |
     machine = file.machine
     _check_machine(machine)
     common = _read_triangle(file.cause_covariance)
+    require(len(common) <= MAX_WHOLE or is_covariance(common), "cause_covariance is none")
     fits = [_build_joint(item, machine, causes, laws, common) for item in file.joints]
     joints = {fit.law.joint: fit for fit in fits}
     require(len(joints) == len(fits) > 0, "a joint stands in it twice, or none does")
@@ -255,9 +257,12 @@ def _read_triangle(rows: list[list[float]]) -> Array:
     return covariance
 
 
-def _complete_covariance(own: Array, common: Array) -> Array:
+def _complete_covariance(own: Array, common: Array) -> Covariances:
     """Columns of own parameters, shape (g, p, p - q), with those of the causes, (g, p, p)."""
     by_own = own[:, own.shape[2] :]
+    if len(common) > MAX_WHOLE:
+        across = by_own.swapaxes(1, 2)
+        return SharedCovariance(own[:, : own.shape[2]], across, common, np.isnan(across).any(axis=(1, 2)))
     has_bars = ~np.isnan(by_own).any(axis=(1, 2), keepdims=True)
     last = np.concatenate([by_own.swapaxes(1, 2), np.where(has_bars, common, np.nan)], axis=1)
     return np.concatenate([own, last], axis=2)
@@ -295,8 +300,12 @@ def _build_joint(
     require({*fit.shared} <= {parameter.name for parameter in law.parameters}, f"shared of {name}")
     require(not (fit.known & np.isnan(fit.values)).any(), f"a known value of {name} is null")
     require(not (fit.interval[..., 0] > fit.interval[..., 1]).any(), f"interval of {name}")
-    for matrix in fit.covariance:
-        require(is_covariance(matrix), f"covariance of {name} is none: not symmetric and positive")
+    covariance = fit.covariance
+    if isinstance(covariance, SharedCovariance):
+        positive = covariance.is_covariance()
+    else:
+        positive = all(map(is_covariance, covariance))
+    require(positive, f"covariance of {name} is none: not symmetric and positive")
     require(_has_plausible_steps(fit, machine), f"values of {name} give no step size that can be")
     return fit
 
@@ -305,18 +314,20 @@ def _check_common_values(fits: Sequence[JointFit]) -> None:
     """That a parameter of all sessions, or of the campaign, has the same estimate wherever it stands."""
     first: dict[tuple[str, ...], Array] = {}
     for fit in fits:
-        names = [parameter.name for parameter in fit.law.parameters]
-        of_campaign = [name for name in names if name in fit.cause_parameters]
-        of_direction = [name for name in names if name in fit.shared and name not in of_campaign]
+        places = {parameter.name: place for place, parameter in enumerate(fit.law.parameters)}
+        of_campaign = fit.cause_parameters
+        of_direction = tuple(name for name in places if name in fit.shared and name not in of_campaign)
         for group, direction in enumerate(fit.groups["direction"]):
             for common, key in ((of_campaign, ()), (of_direction, (str(fit.law.joint), str(direction)))):
-                here = _estimates_of(fit, group, [names.index(name) for name in common])
+                here = _estimates_of(fit, group, [places[name] for name in common])
                 other = first.setdefault((*key, *common), here)
                 for lacks, has in ((here, other), (other, here)):
                     if np.isnan(lacks[:, 2:]).all():  # a group without error bars
                         lacks[:, 2:] = has[:, 2:]
                 sd = np.nan_to_num(np.sqrt(np.abs(np.diag(other[:, 2:]))))
-                slack = COMMON_TOL * np.column_stack([sd, sd, np.outer(sd, sd)])
+                slack: Array | float = 0.0
+                if len(sd):
+                    slack = COMMON_TOL * np.column_stack([sd, sd, np.outer(sd, sd)])
                 same = np.isclose(here, other, rtol=COMMON_TOL, atol=slack, equal_nan=True).all()
                 require(bool(same), f"joint {fit.law.joint}: {', '.join(common)} differ between its groups")
 
@@ -327,6 +338,8 @@ def _estimates_of(fit: JointFit, group: int, columns: list[int]) -> Array:
     In files of earlier versions their intervals may differ, by the degrees of freedom of each group's noise,
     and the moment of a sudden change has a variance, of rounding.
     """
+    if isinstance(fit.covariance, SharedCovariance):  # which has that of the causes once
+        return np.column_stack([fit.values[group, columns], fit.known[group, columns]])
     covariance = fit.covariance[group][np.ix_(columns, columns)]
     sudden = [getattr(fit.law.parameters[column], "sudden", False) for column in columns]
     covariance[sudden] = covariance[:, sudden] = 0.0
@@ -352,7 +365,12 @@ def is_covariance(matrix: Array) -> bool:
         or np.abs(correlation - correlation.T).max(initial=0) > NEGATIVE_TOL
     ):
         return False
-    return not len(part) or bool(np.linalg.eigvalsh(correlation)[0] >= -NEGATIVE_TOL * len(part))
+    correlation[np.diag_indices_from(correlation)] += NEGATIVE_TOL * len(part)
+    try:  # which takes a tenth of the time of all eigenvalues
+        np.linalg.cholesky(correlation)
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def _has_plausible_steps(fit: JointFit, machine: Machine) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 import pandas as pd
@@ -29,6 +30,7 @@ from stickslip_fit.estimation._problem import (
 )
 from stickslip_fit.estimation.noise import Flag, interval_half_widths, quadratic_interval
 from stickslip_fit.estimation.result import ALL_JOINTS, JointFit, Result
+from stickslip_fit.estimation.shared_estimate import find_variances
 from stickslip_fit.estimation.travel import Stretches, unite_travel
 from stickslip_fit.laws import Configuration, Rows, State, StepLaw
 from stickslip_fit.laws.base import Counter
@@ -333,11 +335,12 @@ def fixed_causes(result: Result, machine: Machine | None = None) -> FixedCauses:
         )
         raise InputError(f"this result does not know {unknown}; fit its log without that cause")
     # They are the same in all groups but those without error bars.
-    covariance = np.concatenate([fit.covariance[:, last, last] for fit in fits])
+    variances = np.concatenate([find_variances(fit.covariance)[:, last] for fit in fits])
     interval = np.concatenate([fit.interval[:, last] for fit in fits])
-    best = int(np.argmax(np.isfinite(covariance).all(axis=(1, 2))))
+    best = int(np.argmax(np.isfinite(variances).all(axis=1)))
+    covariance = next(islice((group for fit in fits for group in fit.covariance), best, None))[last, last]
     travel = {joint: fit.travel for joint, fit in result.joints.items()}
-    return FixedCauses(law.causes, fits[0].values[0, last], covariance[best], interval[best], travel)
+    return FixedCauses(law.causes, fits[0].values[0, last], covariance, interval[best], travel)
 
 
 class FixedCauseLaw(StepLaw):
