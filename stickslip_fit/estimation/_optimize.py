@@ -211,6 +211,7 @@ REL_OFFSET_TOL = 1e-6
 DAMPING_UP, DAMPING_DOWN, FIRST_DAMPING, MAX_DAMPING = 2.0, 3.0, 1e-2, 1e20
 MIN_ROWS_FRACTION, MIN_ROWS = 0.5, 300  # of groups still searched, below which the others are left out
 PATIENCE = 10  # iterations
+BOUND_TOL = 1e-9  # of the scales
 
 
 @dataclass(frozen=True)
@@ -379,6 +380,14 @@ class Objective[E](ABC):
         size = self.weight * np.abs(residual) * (np.abs(self.y) + np.abs(self.y - residual))
         return self.of_unit(np.finfo(float).eps * self.groups.sums(size))
 
+    def bound(self, values: Array) -> Array:
+        """Parameters within their bounds, shape (g, p); what is next to a bound is on it.
+
+        By rounding beside its bound a parameter would not count as on it, and every step would be cut off.
+        """
+        lower, upper, near = self.lower, self.upper, BOUND_TOL * self.scales
+        return np.where(values < lower + near, lower, np.where(values > upper - near, upper, values))
+
     def active_bounds(self, here: E, values: Array) -> BoolArray:
         """Parameters on a bound that the data would push beyond it, shape (g, p)."""
         neg_gradient = self.gradient(here)
@@ -506,7 +515,7 @@ def _advance(objective: Objective[Any], state: _State) -> _State:
     step = undamped
     if damping.any():
         step = np.where(objective.of_group(near | close)[:, None], undamped, factors.step(damping))
-    trial = np.clip(values + step * objective.scales, objective.lower, objective.upper)
+    trial = objective.bound(values + step * objective.scales)
     trial = np.where(objective.of_group(active)[:, None], trial, values)
     there = objective.normal_equations(trial)
     new_cost = objective.of_unit(there.cost)
