@@ -463,7 +463,7 @@ class _State:
 
 def search(objective: Objective[Any], start: Array, damping: float, most: int) -> Minimum:
     """Minimize an objective from start values, shape (g, p); see `minimize`."""
-    values = np.clip(start, objective.lower, objective.upper)
+    values = objective.bound(start)
     here, units = objective.normal_equations(values), len(objective.sizes)
     state = _State(
         values=values,

@@ -110,3 +110,20 @@ def test_a_slow_group_does_not_make_the_others_work_on(problem):
     assert evaluated < 0.8 * without
     for name in ("values", "curvature", "residual", "converged", "rank", "at_bound"):
         assert np.array_equal(getattr(found, name), getattr(whole, name))
+
+
+def test_a_parameter_that_rounding_leaves_beside_its_bound_is_on_it():
+    """A falling line whose slope may not be negative: its mean, in the first step."""
+    x, start = np.linspace(10.0, 11.0, 20), np.array([[0.6, 1e-17]])
+
+    def line(values):
+        slopes = np.stack([np.ones_like(x), x], axis=1)
+        return np.vecdot(values, slopes), slopes
+
+    lower = np.array([-np.inf, 0.0])
+    found = minimize(
+        line, 11.0 - x, np.ones(20), grouped(20, 1), start, np.ones((1, 2)), lower=lower, damping=0.0
+    )
+    assert found.values == pytest.approx(np.array([[0.5, 0.0]]), abs=1e-12)
+    assert found.at_bound.tolist() == [[False, True]]
+    assert found.iterations == 2
