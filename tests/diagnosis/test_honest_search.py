@@ -184,7 +184,7 @@ def test_laws_without_a_finite_fit_are_no_rivals(monkeypatch):
         failing()
 
     monkeypatch.setattr(extension, "extend_problem", failing_for_trials)
-    log = read_hidden(hide("thesis", ("cable-torque", "drift"), 14, seed=3), (2,))
+    log = read_hidden(hide("session", ("cable-torque", "drift"), 14, seed=3), (2,))
     found = ssf.diagnose(log, gain=False)
     assert tried
     assert found.findings

@@ -47,31 +47,31 @@ def warmth(table, minutes=15.0):
 
 
 @cache
-def diagnose_with(effect, design):
+def diagnose_with(effect, design, joints):
     hidden = hide(design, seed=4)
     table = hidden.table.copy()
     steps = table["steps"] / (1.0 + effect(table))
     table["steps"] = (CHECK_EVERY * np.round(steps / CHECK_EVERY)).astype(int)
-    return diagnose(read_hidden(replace(hidden, table=table)), gain=False)
+    return diagnose(read_hidden(replace(hidden, table=table), joints), gain=False)
 
 
 @pytest.mark.parametrize(
-    ("effect", "design", "carriers"),
+    ("effect", "design", "joints", "carriers"),
     [
-        (own_length, "many", {"own_length"}),
-        (two_columns, "thesis", {"supply", "temperature"}),
-        (warmth, "session", {"joint_use_20min"}),
-        pytest.param(warmth, "many", {"joint_use_20min"}, marks=pytest.mark.nightly),
+        (own_length, "many", (3,), {"own_length"}),
+        (two_columns, "session", (1, 2, 3), {"supply", "temperature"}),
+        (warmth, "session", (1, 2, 3), {"joint_use_20min"}),
+        pytest.param(warmth, "many", (1, 2, 3), {"joint_use_20min"}, marks=pytest.mark.nightly),
     ],
 )
-def test_what_steps_follow_is_found(effect, design, carriers):
-    found = diagnose_with(effect, design)
+def test_what_steps_follow_is_found(effect, design, joints, carriers):
+    found = diagnose_with(effect, design, joints)
     assert [one.cause for one in found.findings] == ["unknown"]
     assert {*found.findings[0].version.carriers} == carriers, found.summary().headline
 
 
 def test_recent_use_is_told_as_warmth():
-    found = diagnose_with(warmth, "session")
+    found = diagnose_with(warmth, "session", (1, 2, 3))
     text = " ".join(found.summary().headline)
     assert "follow the joint's own travel in the last 20 min or so" in text
     assert "full travels of its own in the last 20 min" in text

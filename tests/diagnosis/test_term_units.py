@@ -56,6 +56,9 @@ def shown_values(row, machine):
             shown = name.removeprefix("covariate:") if own else name.replace("_", " ")
             values[shown] = row[name] * scale.get(name, 1.0)
     values |= {"session time": row["session_seconds"] / 3600, "temperature": row["temperature"] - 273.15}
+    for minutes in (5, 20, 80):
+        values[f"travels in {minutes} min"] = row[f"use_{minutes}min"]
+        values[f"own travels in {minutes} min"] = row[f"joint_use_{minutes}min"]
     return values | {"before direction": {"+": 1.0, "-": -1.0}.get(row["before_direction"], 0.0)}
 
 
