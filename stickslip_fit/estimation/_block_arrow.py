@@ -68,6 +68,7 @@ def solve_block_arrow(
     tolerance: float = 1e-8,
     offset_tol: float = OFFSET_TOL,
     least_fall: float = 0.0,
+    settled_fall: float = 0.0,
     most: int = 2000,
 ) -> Minimum:
     """Minimize the sum of weight (y - model)^2 over each group's own and the shared parameters.
@@ -91,6 +92,8 @@ def solve_block_arrow(
         errors, is less than this.
     least_fall : float, optional
         A set is given up where the sum of squares falls by a smaller share in `PATIENCE` iterations.
+    settled_fall : float, optional
+        The same, by which it has converged.
 
     Returns
     -------
@@ -102,7 +105,12 @@ def solve_block_arrow(
     scales, tolerances = sharing.averaged(scales), (RANK_TOL, tolerance, offset_tol)
     precision = np.zeros(np.count_nonzero(sharing.parameters)) if precision is None else precision
     assert len(sharing.sets) == 1 or not precision.any()
-    options: Any = {"least_fall": least_fall, "sharing": sharing, "precision": precision}
+    options: Any = {
+        "least_fall": least_fall,
+        "settled_fall": settled_fall,
+        "sharing": sharing,
+        "precision": precision,
+    }
     objective = _BlockArrow(model, y, weight, groups, scales, low, high, *tolerances, **options)
     return search(objective, sharing.averaged(start), 0.0, most)
 

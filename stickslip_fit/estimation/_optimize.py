@@ -317,8 +317,9 @@ class Objective[E](ABC):
     """The sums of squares of g groups of n rows, and the accuracy of their minimum; see `minimize`.
 
     What can only move together is a unit: as a rule each group by itself. One whose sum of squares falls by a
-    smaller share than `least_fall` in `PATIENCE` iterations is given up. `E` are the products of slopes and
-    residuals at a point, as of `NormalEquations`.
+    smaller share than `least_fall` in `PATIENCE` iterations is given up; one whose falls by a smaller share than
+    `settled_fall` has converged. `E` are the products of slopes and residuals at a point, as of
+    `NormalEquations`.
     """
 
     model: Model
@@ -333,6 +334,7 @@ class Objective[E](ABC):
     offset_tol: float = 0.0
     subset: RowSubsetModel | None = None
     least_fall: float = 0.0
+    settled_fall: float = 0.0
 
     @property
     def sizes(self) -> IntArray:
@@ -481,8 +483,10 @@ def search(objective: Objective[Any], start: Array, damping: float, most: int) -
 def _iterate(objective: Objective[Any], state: _State, most: int) -> Minimum:
     before = np.full(len(state.damping), np.inf)
     for iteration in range(most):
-        if objective.least_fall and iteration % PATIENCE == 0:
+        if (objective.least_fall or objective.settled_fall) and iteration % PATIENCE == 0:
             cost = objective.of_unit(state.here.cost)
+            settled = (cost > (1.0 - objective.settled_fall) * before) & (state.refused == 0)
+            state = replace(state, converged=state.converged | (settled & ~state.diverged))
             stuck = cost > (1.0 - objective.least_fall) * before
             state, before = replace(state, diverged=state.diverged | (stuck & ~state.converged)), cost
         active = state.active

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -114,6 +115,7 @@ DEFAULT_OPTIONS = FitOptions()
 # Of one pass: counts that a law suits take tens, and hundreds near a bound or with outliers; the next pass
 # of `reweighting` carries on where it stopped.
 MAX_ITERATIONS = 500
+SETTLED_FALL = 1e-6  # share of the sum of squares, in so many iterations as `PATIENCE`
 LEAST_SCATTER = 1e-9  # of a response, relative to the largest
 
 
@@ -169,7 +171,11 @@ class Problem:
         precision = np.zeros(len(shared))
         precision[np.searchsorted(shared, self.penalised)] = self.prior_weight
         data = (self.model, self.y, weight, self.groups, self.sharing, start, self.scales)
-        minimum = solve_block_arrow(*data, precision=precision, lower=self.lower, upper=self.upper, most=most)
+        # Where a session hardly determines its own parameters, a search among so many may creep for hundreds
+        # of iterations; so small a share of the sum of squares is a few hundredths of an estimate's error.
+        settled = SETTLED_FALL if self.has_more_than_rows else 0.0
+        options: Any = {"precision": precision, "most": most, "settled_fall": settled}
+        minimum = solve_block_arrow(*data, lower=self.lower, upper=self.upper, **options)
         # A parameter that the prior determines takes no degree of freedom of the data.
         if self.has_more_than_rows:
             slopes = self.model(minimum.values[self.groups.of_row])[1]

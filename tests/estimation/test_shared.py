@@ -180,3 +180,23 @@ def test_a_group_where_the_model_has_no_value_costs_infinitely_much():
     )
     assert not found.converged.any()
     assert found.values.tolist() == start.tolist()
+
+
+@pytest.mark.parametrize(("settled_fall", "iterations"), [(0.0, range(100, 2000)), (0.9999, range(50))])
+def test_a_sum_of_squares_that_hardly_falls_ends_the_search_where_that_is_asked_for(settled_fall, iterations):
+    """Along a curved valley (H. Rosenbrock, Comput. J. 3:175, 1960), its steepness the own parameter."""
+    groups = Groups(pd.DataFrame({"session": ["a"], "direction": ["+"]}), np.zeros(2, dtype=int))
+    sharing = share_by_direction(("own", "common"), ("common",), groups)
+
+    def valley(values):
+        own, common = values[0]
+        slopes = np.array([[-2e3 * own, 1e3], [-1.0, 0.0]])
+        return np.array([1e3 * (common - own**2), -own]), slopes
+
+    data = valley, np.array([0.0, -1.0]), np.ones(2), groups, sharing
+    found = solve_block_arrow(
+        *data, np.array([[-1.2, 1.0]]), np.ones((1, 2)), settled_fall=settled_fall, offset_tol=0.0
+    )
+    assert found.converged.all()
+    assert found.iterations in iterations
+    assert (found.values == pytest.approx(np.ones((1, 2)), abs=1e-6)) == (not settled_fall)
