@@ -317,8 +317,8 @@ class Objective[E](ABC):
     """The sums of squares of g groups of n rows, and the accuracy of their minimum; see `minimize`.
 
     What can only move together is a unit: as a rule each group by itself. One whose sum of squares falls by a
-    smaller share than `least_fall` in `PATIENCE` iterations is given up; one whose falls by a smaller share than
-    `settled_fall` has converged. `E` are the products of slopes and residuals at a point, as of
+    smaller share than `least_fall` in `PATIENCE` iterations is given up; one whose falls by a smaller share
+    than `settled_fall` has converged. `E` are the products of slopes and residuals at a point, as of
     `NormalEquations`.
     """
 
