@@ -29,7 +29,7 @@ from stickslip_fit.causes.proposed import PAUSES
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, closest_cause
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
-from stickslip_fit.logs.history import DEPARTURES, JOINT_USE, USE
+from stickslip_fit.logs.history import DEPARTURES, JOINT_USE, RECENT_USE, USE
 from stickslip_fit.logs.log import has_replicates
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, is_coordinate
 from stickslip_fit.machine import Machine, load_machine, mean_load
@@ -212,8 +212,9 @@ def describe_unknown_gain(finding: Finding, diagnosis: Diagnosis) -> str:
     test = describe_test(finding, diagnosis)
     what = f"what {describe_stand_in(finding)}"
     carriers = getattr(finding.version, "carriers", ())
-    if {*USE, *JOINT_USE} & {*carriers}:
-        what = "whether it is warmth from driving, as a thermometer at the joint would tell"
+    if RECENT_USE.keys() & {*carriers}:
+        closest = _name_closest(finding)
+        what = f"whether it is warmth from driving, as a thermometer at the joint would tell{closest}"
     if carriers == (POSITION,) and getattr(finding.version, "sessions", ()):
         what = f"what makes it differ from session to session{_name_closest(finding)}"
     return (
@@ -345,9 +346,9 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
     if name == "before_direction":
         return f"{label} {format_direction(str(row[name])) or 'unknown'}"
     value, unit = float(row[name]), ""
-    if name in USE or name in JOINT_USE:
-        what, minutes = (" of its own" if name in JOINT_USE else ""), from_si((USE | JOINT_USE)[name], "min")
-        return f"{format_significant(value, 3)} full travels{what} in the last {minutes:.0f} min or so"
+    if name in RECENT_USE:
+        whose, minutes = " of its own" if name in JOINT_USE else "", from_si(RECENT_USE[name], "min")
+        return f"{format_significant(value, 3)} full travels{whose} in the last {minutes:.0f} min or so"
     if name == "session_seconds":
         value, unit = from_si(value, "h"), " h"
     elif name in PAUSES:

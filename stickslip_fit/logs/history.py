@@ -15,11 +15,11 @@ from stickslip_fit.machine import Machine, load_machine, mean_load
 # What was driven not long ago: of any joint and of the same joint, and s in which it is forgotten.
 USE = {f"use_{minutes}min": 60.0 * minutes for minutes in (5, 20, 80)}
 JOINT_USE = {f"joint_{name}": seconds for name, seconds in USE.items()}
+RECENT_USE = USE | JOINT_USE
 # History on which no published cause depends.
 FURTHER_HISTORY = (
     *("before_length", "before_gap", "before_joint", "pause", "joint_pause", "session_order"),
-    *USE,
-    *JOINT_USE,
+    *RECENT_USE,
 )
 NEGLIGIBLE_USE = 1e-9  # share of what was driven
 # What the step size of the traverse before had beyond its law, and the time since that traverse.
