@@ -26,6 +26,7 @@ from stickslip_fit.errors import shorten
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.prediction import has_order
 from stickslip_fit.estimation.travel import Stretches, close_gaps, undriven_pieces
+from stickslip_fit.logs.history import FURTHER_HISTORY
 from stickslip_fit.logs.plan import Plan, build_sheet, format_cells
 from stickslip_fit.logs.schema import position_columns
 
@@ -83,6 +84,7 @@ def summarize_predictions(
             *_beyond_travel(result, rows[beyond]),
             *_without_interval(result, rows, predicted),
             *(_of_single_sessions(result) if to_come else ()),
+            *(() if isinstance(planned, Plan) else _without_history(result, rows)),
             *(() if isinstance(planned, Plan) else _of_other_sessions(result, rows, predicted)),
             *_without_travel(predicted),
         ),
@@ -192,6 +194,22 @@ def _without_interval(result: Result, rows: pd.DataFrame, predicted: pd.DataFram
         if (flag.joint, flag.direction) in bare and flag.flag == "few_replicates"
     ]
     return list(dict.fromkeys(messages))
+
+
+def _without_history(result: Result, drives: pd.DataFrame) -> list[str]:
+    """The remark that the law follows what came before, which drives without times do not say."""
+    joints = [
+        f"joint {joint}"
+        for joint, fit in result.joints.items()
+        if (drives["joint"] == joint).any()
+        and any(name not in drives for name in fit.law.columns if name in FURTHER_HISTORY)
+    ]
+    if not joints:
+        return []
+    return [
+        f"The law of {join_words(joints)} follows what was driven before and when, of which the counts have "
+        "nothing: the drives have no times. Give each its time"
+    ]
 
 
 def _of_single_sessions(result: Result) -> list[str]:

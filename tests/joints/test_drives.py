@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import quad
 
 import stickslip_fit as ssf
+from stickslip_fit.causes.proposed import SmoothTerm
 from stickslip_fit.errors import InputError
 
 MACHINE = '[[joint]]\nkind = "rotary"\nname = "table"\nrange_deg = [0, 400]\n'
@@ -255,3 +256,40 @@ def test_a_column_of_the_lab_s_own_has_to_be_numbers_where_the_law_depends_on_it
     assert counts[1] / counts[0] == pytest.approx(0.95 / 1.05, rel=5e-3)
     with pytest.raises(InputError, match=r"line 3, column preload_N, value 'firm': is no number"):
         ssf.read_drives(drives_file(tmp_path, head + "A,1,+,1.0\nA,1,+,firm\n"), law)
+
+
+def test_a_law_that_follows_recent_use_predicts_it_where_drives_have_times(folder, tmp_path, run):
+    """What was driven before warms the joint; without times that nothing is known of it is said."""
+    begin, rng = pd.Timestamp("2026-03-02T08:00:00"), np.random.default_rng(5)
+    minutes = np.cumsum(rng.integers(1, 40, 90)).astype(float)
+    ages = np.subtract.outer(minutes, minutes)
+    warmth = np.sum(np.exp(-np.maximum(ages, 0.0) / 20.0), axis=1, where=ages > 0)
+    log = pd.DataFrame(
+        {
+            "session": "A",
+            "time": [(begin + pd.Timedelta(minutes=m)).isoformat() for m in minutes],
+            "joint": 1,
+            "direction": "+",
+            "steps": np.round(1e5 * np.exp(-0.03 * warmth)).astype(int),
+            "check_every": 1,
+        }
+    )
+    log.to_csv(tmp_path / "log.csv", index=False)
+    read = ssf.read_log(tmp_path / "log.csv", machine=ssf.load_machine(folder / "stage.toml"))
+    orders = tuple((k,) for k in range(1, 7))
+    term = SmoothTerm(("joint_use_20min",), ((0.0, warmth.max()),), orders, (0.1,) * len(orders))
+    ssf.fit(read, causes=[term]).save(tmp_path / "law.json")
+    head = "session,time,joint,direction\n"
+    timed = head + "".join(f"A,2026-03-09T08:{minute:02d}:00,1,+\n" for minute in (0, 10, 20))
+    counts, told = {}, {}
+    for name, text in (("timed", timed), ("bare", "session,joint,direction\nA,1,+\n")):
+        file = drives_file(tmp_path, text)
+        status, told[name], err = run("predict", tmp_path / "law.json", file, "-o", tmp_path / "counts.csv")
+        assert status == 0, err
+        counts[name] = pd.read_csv(tmp_path / "counts.csv")["steps"].to_numpy()
+    # The log hardly has a cold joint, as is the first of the drives.
+    warm = np.array([np.exp(-0.5), np.exp(-0.5) + np.exp(-1.0)])
+    first, last = counts["timed"][1:]
+    assert last / first == pytest.approx(np.exp(-0.03 * np.diff(warm)).item(), rel=1e-3)
+    assert "Give each its time" not in told["timed"]
+    assert "Give each its time" in " ".join(told["bare"].split())
