@@ -5,8 +5,8 @@ The response is log(step size), so that a profile is the same where it is the sa
 squares are of type II. Sessions are a random factor: position, direction and their interaction are tested
 against their own interaction with session, on means of cells; session, and position by session, against
 replicates or, without these, the highest interaction (R. E. Kirk, Experimental Design, 2013, ch. 9 to 10).
-A profile that changes from session to session changes alike in neighbouring stretches. Degrees of freedom are
-reduced by Box's epsilon for a first-order autocorrelation along the travel (Ann. Math. Stat. 25:484, 1954).
+A profile that changes from session to session changes alike in neighbouring stretches, for which `box_epsilon`
+reduces degrees of freedom.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import pandas as pd
 
 from stickslip_fit._format import coordinate_unit
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.anova.box_epsilon import box_epsilon
 from stickslip_fit.anova.contrasts import indicator_columns, orthonormal_basis
 from stickslip_fit.anova.designs import NotTestable, format_plain
 from stickslip_fit.anova.term_test import (
@@ -290,7 +291,10 @@ class PositionModel:
             return "nothing to compare it with: repeat stretches, in this session and in others"
         if np.sqrt(error.mean_square) <= NO_SCATTER:
             return f"{error.name}: no scatter at all, so that nothing can be compared with it"
-        follows_travel = POSITION in term and error.name not in (REPLICATES, NEIGHBOURS)
+        epsilon = 1.0
+        if POSITION in term and error.name not in (REPLICATES, NEIGHBOURS):
+            runs = _runs(error.values, table)
+            epsilon = box_epsilon(runs, error.df / (runs.shape[1] - 1))
         return run_term_test(
             term,
             table["y"].to_numpy(),
@@ -298,30 +302,15 @@ class PositionModel:
             error,
             codes=table[term[0]].to_numpy() if len(term) == 1 else None,
             levels=self.levels[term[0]] if len(term) == 1 else (),
-            epsilon=_box_epsilon(error.values, table) if follows_travel else 1.0,
+            epsilon=epsilon,
         )
 
 
-def _box_epsilon(error: Array, table: pd.DataFrame) -> float:
-    """Box's epsilon of p stretches whose errors have the lag-1 autocorrelation along the travel of `error`.
-
-    The estimate is corrected for the mean that is taken out (F. H. C. Marriott and J. A. Pope,
-    Biometrika 41:390, 1954). Errors without autocorrelation have an epsilon of 1.
-    """
+def _runs(error: Array, table: pd.DataFrame) -> Array:
+    """Errors by stretch, from low to high, in each combination of the other factors; NaN where there is none."""
     order = table.groupby(POSITION)["middle"].mean().rank().astype(int)
-    p = len(order)
-    if p < 3:
-        return 1.0
-    others = [name for name in FACTORS if name != POSITION]
     places, place = np.unique(order.loc[table[POSITION]], return_inverse=True)
-    number = _number_cells(table, others)
+    number = _number_cells(table, [name for name in FACTORS if name != POSITION])
     shape, cell = (int(number.max()) + 1, len(places)), number * len(places) + place
     sums, counts = (np.bincount(cell, weight, np.prod(shape)).reshape(shape) for weight in (error, None))
-    runs = np.divide(sums, counts, out=np.full(shape, np.nan), where=counts > 0)
-    both = np.isfinite(runs[:, 1:]) & np.isfinite(runs[:, :-1])
-    products = np.where(both, runs[:, 1:] * runs[:, :-1], 0.0).sum() / max(both.sum(), 1)
-    lag = products / np.nanmean(runs**2)
-    correlation = float(np.clip((lag + 1.0 / p) / max(1.0 - 4.0 / p, 0.5), 0.0, 0.99))
-    covariance = correlation ** np.abs(np.subtract.outer(np.arange(p), np.arange(p)))
-    centred = covariance - covariance.mean(axis=0) - covariance.mean(axis=1)[:, None] + covariance.mean()
-    return float(np.trace(centred) ** 2 / ((p - 1) * np.sum(centred**2)))
+    return np.divide(sums, counts, out=np.full(shape, np.nan), where=counts > 0)
