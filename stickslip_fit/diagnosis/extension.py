@@ -53,7 +53,8 @@ SELECTION_FACTOR = 2
 MIN_OPEN = 0.5  # whitened norm of what lambda leaves open in an effect
 LOG_STRENGTHS = (0.0, 8.0)  # logarithm of the least and the greatest strength of a smooth effect
 MIN_FINER = 10.0  # nats, of a cause that is looked at more closely
-MIN_FORM_SHARE, MAX_FORMS = 0.003, 8  # of the square of all alternative forms; their number
+MIN_FORM_SHARE, MAX_FORMS = 0.003, 8  # of the square of all alternative forms; their number without ties
+FORM_TIE = 0.01  # of a square, by which two that rounding or noise alone orders may differ
 MAX_SHAPES = 300  # of one kind, whose neighbours resemble each other
 # Of a proposal: singular values of effects of norm 1, and rows for each of them.
 MIN_FORM_LENGTH, ROWS_PER_FORM = 0.03, 6
@@ -409,7 +410,10 @@ def alternative_forms(linearized: LinearizedFit, selected: SelectedCause) -> Arr
     shapes = [one[:, :: -(-one.shape[1] // MAX_SHAPES)] for one in shapes if one.shape[1]]
     columns = np.concatenate([*shapes, powers / np.where(length > 0, length, 1.0)], axis=1)
     left, singular, _ = svd(columns)
-    return left[:, singular**2 > MIN_FORM_SHARE * np.sum(singular**2)][:, :MAX_FORMS]
+    squares = singular**2
+    # All that tie with the last one: any of them could else be left out.
+    least = (1.0 - FORM_TIE) * squares[min(MAX_FORMS, len(squares)) - 1]
+    return left[:, squares > max(MIN_FORM_SHARE * float(np.sum(squares)), least)]
 
 
 def open_changes(linearized: LinearizedFit, selected: SelectedCause) -> Array:
