@@ -25,7 +25,7 @@ def box_epsilon(errors: Array, n_runs: float) -> float:
     Parameters
     ----------
     errors : array, shape (m, p)
-        Of p stretches in their order along the travel, by session, direction and so on; NaN where none is known.
+        Of p stretches in their order along the travel, by session and so on; NaN where unknown.
     n_runs : float
         How many runs along the travel are independent: the errors' degrees of freedom over p - 1.
     """
@@ -36,8 +36,10 @@ def box_epsilon(errors: Array, n_runs: float) -> float:
     filled = np.where(known, errors, 0.0)
     covariance = filled.T @ filled / np.maximum(known.T.astype(float) @ known, 1.0)
     variances, squares = _covariances(covariance)
-    log_likelihood = -0.5 * n_runs * (
-        np.log(variances).sum(axis=1) + (p - 1) * np.log(np.mean(squares / variances, axis=1))
+    log_likelihood = (
+        -0.5
+        * n_runs
+        * (np.log(variances).sum(axis=1) + (p - 1) * np.log(np.mean(squares / variances, axis=1)))
     )
     weight = np.exp(log_likelihood - log_likelihood.max())
     weight[0] *= P_INDEPENDENT

@@ -5,8 +5,8 @@ The response is log(step size), so that a profile is the same where it is the sa
 squares are of type II. Sessions are a random factor: position, direction and their interaction are tested
 against their own interaction with session, on means of cells; session, and position by session, against
 replicates or, without these, the highest interaction (R. E. Kirk, Experimental Design, 2013, ch. 9 to 10).
-A profile that changes from session to session changes alike in neighbouring stretches, for which `box_epsilon`
-reduces degrees of freedom.
+A profile that changes from session to session changes alike in neighbouring stretches, for which
+`box_epsilon` reduces degrees of freedom.
 """
 
 from __future__ import annotations
@@ -307,7 +307,7 @@ class PositionModel:
 
 
 def _runs(error: Array, table: pd.DataFrame) -> Array:
-    """Errors by stretch, from low to high, in each combination of the other factors; NaN where there is none."""
+    """Errors by stretch, from low to high, by the other factors; NaN where there is none."""
     order = table.groupby(POSITION)["middle"].mean().rank().astype(int)
     places, place = np.unique(order.loc[table[POSITION]], return_inverse=True)
     number = _number_cells(table, [name for name in FACTORS if name != POSITION])
