@@ -157,9 +157,8 @@ class _BlockArrow(Objective[ArrowProducts]):
         return _ArrowFactors(here, lengths, self.sharing, self.rank_tol)
 
     def rank(self, here: ArrowProducts, lengths: Array) -> IntArray:
-        factors, sizes = self.factors(here, lengths), self.groups.sizes.copy()
-        sizes[0] += np.count_nonzero(self.precision)
-        return factors.own.rank + _distribute_rank(factors.border.rank, self.sharing.sets, sizes)
+        factors = self.factors(here, lengths)
+        return factors.own.rank + _distribute_rank(factors.border.rank, self.sharing.sets, self.groups.sizes)
 
     def curvature(self, here: ArrowProducts) -> Array:
         units = np.ones(here.own.shape[:2])

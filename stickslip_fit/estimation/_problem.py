@@ -166,7 +166,7 @@ class Problem:
         return minimize(*data, subset=self.subset, lower=self.lower, upper=self.upper, damping=0.0, most=most)
 
     def _minimize_penalised(self, weight: Array, start: Array, most: int) -> Minimum:
-        """With the priors, which count as rows of the first group for want of a better one."""
+        """With the priors; what these leave to the data of the shared parameters is spread over all rows."""
         shared = np.flatnonzero(self.sharing.parameters)
         precision = np.zeros(len(shared))
         precision[np.searchsorted(shared, self.penalised)] = self.prior_weight
@@ -183,9 +183,8 @@ class Problem:
         else:
             variance = np.diag(shared_covariance(minimum, self.sharing, self.scales))
         by_prior = float(variance[np.isfinite(self.prior_sd)] @ self.prior_weight)
-        sizes = self.groups.sizes.copy()
-        sizes[0] += len(self.penalised)
-        spread = np.diff(np.round(by_prior * np.cumsum(sizes) / sizes.sum()), prepend=0.0)
+        rows = np.cumsum(self.groups.sizes)
+        spread = np.diff(np.round(by_prior * rows / rows[-1]), prepend=0.0)
         return replace(minimum, rank=minimum.rank - spread.astype(np.intp))
 
     def curvature(self, slopes: Array, information: Array) -> Array:

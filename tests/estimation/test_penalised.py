@@ -6,6 +6,9 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit.causes import AlongTravel
+from stickslip_fit.estimation._arrow_products import ParameterSharing
+from stickslip_fit.estimation._groups import Groups
+from stickslip_fit.estimation._problem import Problem
 from stickslip_fit.machine import load_machine
 
 MACHINE = '[[joint]]\nkind = "rotary"\nname = "turn"\nrange_deg = [0, 100]\n'
@@ -79,3 +82,34 @@ def test_a_fit_finds_length_and_amplitude_by_itself_and_is_constant_beyond_the_t
     back = ssf.load_result(tmp_path / "law.json").joints[1]
     assert back.law.causes == fit.law.causes
     np.testing.assert_array_equal(back.law.step_size(row, position, back.values[:1])[0], step)
+
+
+@pytest.mark.parametrize("number", [20, 60, 300])
+def test_each_group_loses_the_degrees_of_freedom_that_its_leverage_takes(number):
+    """`number` coefficients with priors, and a level of each of 12 groups of 20 rows; by the hat matrix."""
+    rng, g, each = np.random.default_rng(3), 12, 20
+    of_group, n = np.repeat(np.arange(g), each), g * each
+    slopes = np.column_stack([np.ones(n), rng.standard_normal((n, number))])
+    prior_sd = 0.3 / np.sqrt(np.arange(1.0, number + 1.0))
+    y = rng.standard_normal(n) + slopes[:, 1:] @ (prior_sd * rng.standard_normal(number))
+    table = pd.DataFrame({"session": np.arange(g).astype(str), "direction": "+"})
+    one_set = Groups(pd.DataFrame({"set": [0]}), np.zeros(g, dtype=np.intp))
+    shape = (g, 1 + number)
+    problem = Problem(
+        Groups(table, of_group),
+        ParameterSharing(np.arange(1 + number) > 0, one_set),
+        y,
+        lambda of_row: (np.sum(slopes * of_row, axis=1), slopes),
+        np.zeros(shape),
+        np.ones(shape),
+        np.full(shape, -np.inf),
+        np.full(shape, np.inf),
+        prior_sd=prior_sd,
+    )
+    rank = problem.minimize(np.ones(n), problem.start).rank
+    design = np.column_stack([np.eye(g)[of_group], slopes[:, 1:]])
+    precision = np.diag(np.concatenate([np.zeros(g), 1.0 / prior_sd**2]))
+    hat = design @ np.linalg.solve(design.T @ design + precision, design.T)
+    taken = np.bincount(of_group, np.diag(hat))
+    assert rank.sum() == pytest.approx(taken.sum(), abs=1.0)
+    np.testing.assert_allclose(rank, taken, atol=2.0)
