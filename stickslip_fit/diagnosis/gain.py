@@ -26,6 +26,7 @@ from stickslip_fit.diagnosis.cross_validation import (
     confirm_selection,
     hold_out_sessions,
     make_folds,
+    match_findings,
     predict_held_out,
     select_from_training,
 )
@@ -72,6 +73,8 @@ class FoldSearches:
         Of the whole data, as it was before any of its causes was withdrawn.
     alpha, seed : float, int
         Of the diagnosis.
+    findings : tuple of Finding
+        Of the whole data, before any was withdrawn. What stands for one that was is left out in all splits.
     select : callable or None
         From a problem and a generator to a selection; None for `select_in_fold`.
     known : dict
@@ -81,6 +84,7 @@ class FoldSearches:
     selection: Selection
     alpha: float
     seed: int = 0
+    findings: tuple[Finding, ...] = ()
     select: Selector | None = None
     known: dict[tuple[bytes, int], Selection] = field(default_factory=dict)
 
@@ -180,9 +184,9 @@ def estimate_gains(
     extending = [finding for finding in findings if finding.version is not None]
     if extending:
         ends, numbered = np.cumsum([len(splits) for splits in sets]), list(chain(*map(enumerate, sets)))
-        named = {cause for finding in extending for cause in finding.cause_set}
-        withdrawn = {one.cause for finding in findings for one in finding.withdrawn} - named
-        predict_from = partial(_predict_without, withdrawn, predict, selection.problem, extending)
+        first = [finding for finding in searches.findings if finding.version is not None] or extending
+        named = {k for k, one in enumerate(first) if any(one.version is own.version for own in extending)}
+        predict_from = partial(_predict_kept, first, named, predict, selection.problem, extending)
         errors = _collect_errors(predict_from, confirm, searches, numbered, workers, progress)
         held_out = [
             _leave_out_stalls(splits, np.concatenate(errors[end - len(splits) : end], axis=1))
@@ -222,18 +226,24 @@ def _compare_errors(
     return _make_gain(selection, splits, errors[[0, -1]], limits[:, -1]), own
 
 
-def _predict_without(
-    withdrawn: Collection[str],
+def _predict_kept(
+    first: Sequence[Finding],
+    kept: Collection[int],
     predict: Prediction,
     problem: DiagnosisProblem,
     findings: Sequence[Finding],
     split: Split,
     selection: Selection,
 ) -> Array:
-    """Errors with what was selected from the training rows, without causes that are withdrawn."""
-    kept = tuple(one for one in selection.selected if one.cause not in withdrawn)
-    if len(kept) < len(selection.selected):
-        selection = replace(selection, selected=kept, fit=fit_causes(selection.problem, kept))
+    """Errors with what was selected from the training rows, as far as it stands for a finding that is kept.
+
+    `kept` are places among the `first` findings. Else what a split has in the place of a withdrawn one would
+    count as part of the others.
+    """
+    places = zip(selection.law_causes, match_findings(selection.law_causes, first), strict=True)
+    if gone := [one for one, place in places if place not in kept]:
+        selected = tuple(one for one in selection.selected if one not in gone)
+        selection = replace(selection, selected=selected, fit=fit_causes(selection.problem, selected))
     return predict(problem, split, findings, selection)
 
 

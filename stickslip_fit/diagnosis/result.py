@@ -160,7 +160,7 @@ class Diagnosis(Summarized):
         check_workers(workers)
         began, selection, findings = time.perf_counter(), self.selection, self.findings
         inclusion = dict(self.inclusion)
-        searches = FoldSearches(selection, self.alpha, self.seed)
+        searches = FoldSearches(selection, self.alpha, self.seed, findings)
         options: Any = {"searches": searches, "workers": workers, "progress": progress}
         while True:
             if self.table is not None:

@@ -272,6 +272,28 @@ def test_each_finding_gains_its_step_and_steps_add_up(problem):
     assert whole.by_session["traverses"].sum() == sum(len(split.held_out) for split in splits)
 
 
+def test_what_stands_for_a_withdrawn_finding_counts_in_no_other(problem):
+    """Neither a cause of its own name nor what a split has in its place, which may predict badly."""
+    own_problem = problem(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
+    selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
+    found = size_findings(selection, own_problem, ALPHA)
+    (kept,) = (one for one in found if one.cause == "drift")
+    splits, options = splits_of(selection)[:2], {"workers": 1, "confirm": lambda _: selection}
+    predicted = []
+
+    def predict(problem, split, findings, selection):
+        predicted.append([one.cause for one in selection.law_causes])
+        return predict_held_out(problem, split, findings, selection)
+
+    searches = FoldSearches(selection, ALPHA, findings=found)
+    [(alone, _)] = estimate_gains(selection, (kept,), [splits], searches, predict=predict, **options)
+    assert predicted == [["drift"]] * len(splits)
+    [(together, own)] = estimate_gains(selection, found, [splits], searches, **options)
+    assert own[0].cause == "drift"
+    assert alone.baseline == together.baseline
+    assert alone.extended == pytest.approx(own[0].gain.extended, rel=1e-6)
+
+
 def test_rows_on_which_the_laws_alone_stall_say_nothing_of_a_cause(problem):
     own_problem = problem(hide("session", ("drift",), 20, seed=4))
     selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
