@@ -48,17 +48,21 @@ def test_a_hidden_cause_is_named(cause, design):
 
 @pytest.mark.nightly
 def test_the_moment_of_a_jump_is_in_its_interval():
-    """Of 95 %; at strengths at which a jump is always found, but its moment is open."""
-    logs, held, widths = 60, 0, []
-    for seed in range(logs):
+    """Of 95 %; at strengths at which a jump is nearly always named, but its moment is open."""
+    held, widths = 0, []
+    for seed in range(60):
         hidden = hide("session", ("session-jump",), 8.0, seed=seed, forms={"session-jump": "table"})
         found = ssf.diagnose(read_hidden(hidden), gain=False).findings[0]
         (truth,) = (one for one in hidden.truth["effects"][0]["parameters"] if one["name"] == "moment")
+        if found.cause != "session-jump":
+            assert "session-jump" in found.equivalent
+            continue
         (moment,) = (one.size for one in found.parameters if one.name == "moment")
         held += moment.low <= 60 * truth["value"] <= moment.high
         time = pd.to_datetime(hidden.table["time"])
         widths.append((moment.high - moment.low) / (time.max() - time.min()).total_seconds())
-    assert held >= binom.ppf(0.005, logs, 0.95)
+    assert len(widths) >= 57
+    assert held >= binom.ppf(0.005, len(widths), 0.95)
     assert np.median(widths) < 0.2  # of the session
 
 
