@@ -284,7 +284,7 @@ def distance_from_bound(slope: Array, variance: Array, reach: Array) -> Array:
     slope : array
         By how much half the sum of squares falls per unit of the parameter beyond the bound.
     variance : array
-        Of the parameter without the bound.
+        Of the parameter without the bound; 0 where the rows do not determine it, which has no end.
     reach : array
         Half-width of an interval in standard errors.
 
@@ -294,9 +294,11 @@ def distance_from_bound(slope: Array, variance: Array, reach: Array) -> Array:
 
     >>> distance_from_bound(np.array([0.0, 2.0]), np.array([4.0, 4.0]), np.array([2.0, 2.0])).round(3)
     array([4.   , 0.944])
+    >>> distance_from_bound(np.array([2.0]), np.array([0.0]), np.array([2.0]))
+    array([nan])
     """
-    slope = np.abs(slope)
-    return variance * (np.sqrt(slope**2 + reach**2 / variance) - slope)
+    steep = np.abs(slope) * variance
+    return np.where(variance > 0, np.sqrt(steep**2 + reach**2 * variance) - steep, np.nan)
 
 
 def one_sided_intervals(
