@@ -11,7 +11,7 @@ from tests.hidden.reading import read_hidden
 
 STRONG = 12.0
 NO_SIZES = {"tau", "n0", "moment", "phi", "x0", "w"}  # of the causes that have a size beside them
-# Those that the generator hides; a profile, its directions tried together, and gross errors are tried at no size.
+# Those that the generator hides. Profiles and gross errors are tried at no size.
 SCALABLE = [
     one.name for one in library() if one.name in CAUSES and one.parameters and one.name != "end-stop-misfire"
 ]
