@@ -101,7 +101,7 @@ def test_f_is_that_of_statsmodels(machine, design):
         assert tests[term].p_value == pytest.approx(table.loc[name, "PR(>F)"], rel=1e-6)
 
 
-@pytest.mark.parametrize("design", ["repeated", "own stretches"])
+@pytest.mark.parametrize("design", ["repeated", pytest.param("own stretches", marks=pytest.mark.nightly)])
 def test_a_difference_is_in_its_interval_and_one_that_is_detectable_is_mostly_detected(machine, design):
     """The directions differ by what is detectable in the first log, at the level of 30 tests; then again."""
     rng, level = np.random.default_rng(2), 0.05 / 30

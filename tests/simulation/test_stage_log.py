@@ -252,9 +252,9 @@ def test_bristles_meet_what_a_schedule_changes(stage_rows):
     later = {"session": "2012-03-06"}
     changes = schedule("preload", "-10 %", **later) + schedule("voltage", "-40 V", **later)
     changes += schedule("payload", "1 g", **later) + schedule("ramp time", "0.02 ms", **later)
-    bristles = {"contact": 'model = "dahl"\nstiffness_N_per_um = 20'}
+    bristles = {"contact": 'model = "dahl"\nstiffness_N_per_um = 5'}
     rows = stage_rows(JOINT_3 + changes, bristles, sweep="q2_deg = -90", dates="2012-03-05, 2012-03-06")
-    first = Stage("", MASS, Contact(0.2, 1.25, "dahl", stiffness=20e6), Drive(80, 30e-9, RAMP, 5e-6, 1e-3))
+    first = Stage("", MASS, Contact(0.2, 1.25, "dahl", stiffness=5e6), Drive(80, 30e-9, RAMP, 5e-6, 1e-3))
     last = Stage("", 6e-3, replace(first.contact, preload=1.125), Drive(40, 30e-9, 1.6e-4, 5e-6, 1e-3))
     assert_counts(rows, LENGTH / np.repeat([first.step(), last.step()], 2))
 
