@@ -1,13 +1,20 @@
 """Hypotheses as subspaces, beside a cause in the laws."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from stickslip_fit.causes import library
 from stickslip_fit.diagnosis.alternatives import build_unstructured_alternatives
 from stickslip_fit.diagnosis.cause_set import form_cause_set
-from stickslip_fit.diagnosis.extension import compute_evidence, extend_problem, make_selected
+from stickslip_fit.diagnosis.extension import (
+    alternative_forms,
+    compute_evidence,
+    extend_problem,
+    make_selected,
+)
 from stickslip_fit.diagnosis.hypotheses import Hypothesis
 from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
@@ -88,3 +95,23 @@ def test_the_alarm_is_averaged_over_shapes_but_not_over_those_as_likely_as_the_b
     misfit = Misfit(np.zeros(2), tuple(shapes), evidence, by_cause, 0.001, np.zeros(0))
     cause = UNKNOWN if name.startswith(UNKNOWN) else name
     assert misfit.n_shapes(cause) == pytest.approx(number)
+
+
+def test_which_forms_of_a_cause_count_as_known_is_no_matter_of_rounding():
+    """Six of a drift's eleven are alike in importance, and only some of them are among the first eight."""
+    rng, causes = np.random.default_rng(1), [one for one in library() if one.name == "drift"]
+    problem, _ = problem_from_log(read_hidden(hide("session", ("drift",), 20, seed=4)), causes)
+    misfit = compute_evidence(problem.linearize(), problem)
+    selected = make_selected(misfit, form_cause_set(misfit, "drift"))
+    extended, fit, _ = extend_problem(problem, [selected])
+    plain = extended.linearize_extended(fit)
+
+    def shake(shape):
+        if shape.cause != "drift":
+            return shape
+        moved = ((rows, block + 1e-5 * rng.standard_normal(block.shape)) for rows, block in shape.blocks)
+        return replace(shape, blocks=tuple(moved))
+
+    shaken = replace(selected, misfit=replace(misfit, hypotheses=tuple(map(shake, misfit.hypotheses))))
+    forms, others = alternative_forms(plain, selected), alternative_forms(plain, shaken)
+    np.testing.assert_allclose(forms @ forms.T, others @ others.T, atol=0.01)
