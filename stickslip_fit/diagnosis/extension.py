@@ -378,7 +378,9 @@ def make_selected(
     version: Any = shape.version
     if isinstance(shape, Hypothesis) and hasattr(version, "with_amplitude"):
         version = version.with_amplitude(estimate_strength(shape, misfit.residual) / shape.length)
-    start = (starts or {}).get(cause_set.cause, start)
+    known = (starts or {}).get(cause_set.cause, start)
+    if len(known) == len(start):  # else of another form, which another test has chosen
+        start = known
     return SelectedCause(cause_set.cause, version, start, cause_set, misfit, p_value)
 
 

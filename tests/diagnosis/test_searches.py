@@ -59,6 +59,19 @@ def test_a_cause_without_which_the_law_is_as_likely_is_needless():
     assert len(find_needless(problem, selected, whole, most=1e6)) == len(selected)
 
 
+@pytest.mark.parametrize("of_another_form", [False, True])
+def test_start_values_are_those_of_a_refit_of_the_same_form(of_another_form):
+    """Another test may have chosen a profile with other coefficients."""
+    causes = [cause for cause in library() if cause.name in ("drift", "along-travel")]
+    problem, _ = problem_from_log(read_hidden(hide("many", ("drift",), 14, seed=3)), causes)
+    misfit = compute_evidence(problem.linearize(), problem)
+    cause_set = form_cause_set(misfit, "along-travel")
+    estimated = make_selected(misfit, cause_set).start
+    known = np.full(len(estimated) + of_another_form, 0.01)
+    selected = make_selected(misfit, cause_set, {"along-travel": known})
+    np.testing.assert_array_equal(selected.start, estimated if of_another_form else known)
+
+
 def test_a_search_is_repeated_for_causes_that_it_could_find_and_no_others():
     """Wear does much of what a hidden drift does; of a side load the last test has what a search says."""
     log = read_hidden(hide("session", ("drift",), 30.0, seed=301))
