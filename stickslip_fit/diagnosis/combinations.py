@@ -341,10 +341,11 @@ def find_exchange(
     best, likelihoods = None, dict[str, float]()
     for rival in rivals:
         one = make_selected(current.test, form_cause_set(current.test, rival), refits.starts)
-        of_rival = refits.extensions.get(rival) or try_extension(problem, [*others, one])
+        trial = [*others, one]
+        of_rival = refits.extension_with(trial) or try_extension(problem, trial)
         if of_rival is None:
             continue
-        left, _, unknown = _next_cause(of_rival, [*others, one], [current.cause])
+        left, _, unknown = _next_cause(of_rival, trial, [current.cause])
         alone = penalised_likelihood(*of_rival[:2])
         for second in _likely_seconds(left, unknown, problem):
             likely = alone + left.log_evidence_by_cause[second]
@@ -353,7 +354,7 @@ def find_exchange(
             two = make_selected(left, form_cause_set(left, second))
             if (getattr(two.version, "amplitude", None) or 0.0) > two.version.max_trial_factor:
                 continue  # a function of implausible size that only makes up for the rival
-            of_both = try_extension(problem, [*others, one, two])
+            of_both = try_extension(problem, [*trial, two])
             if of_both is None:
                 continue
             likelihood = penalised_likelihood(*of_both[:2])

@@ -17,6 +17,7 @@ from stickslip_fit.diagnosis.extension import (
     Extension,
     SelectedCause,
     fit_causes,
+    law_causes,
     make_selected,
     try_extension,
 )
@@ -50,6 +51,12 @@ class Refits:
     starts: dict[str, Array]
     extensions: dict[str, Extension]
     failed: tuple[str, ...] = ()
+
+    def extension_with(self, selected: Sequence[SelectedCause]) -> Extension | None:
+        """The one with the last of some selected causes, if a refit of it in this form was extended."""
+        known = self.extensions.get(selected[-1].cause)
+        n_values = sum(len(one.start) for one in law_causes(selected))
+        return known if known is not None and len(known[1].values) == n_values else None
 
 
 def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit) -> Refits:

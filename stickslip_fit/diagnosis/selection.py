@@ -273,7 +273,7 @@ class _ForwardSelection:
             self.selected = chosen
             return False
         is_part = getattr(chosen[-1].version, "is_restricted", False)  # of which no refit was made
-        extension = None if is_part else refits.extensions.get(chosen[-1].cause)
+        extension = None if is_part else refits.extension_with(chosen)
         extension = extension or extend_problem(problem, chosen)
         if self.selected and chosen[-1].cause != UNKNOWN:
             revised = revise_causes(extension[0], chosen, self.rng)
@@ -344,7 +344,7 @@ class _ForwardSelection:
         chosen = [*chosen[:-1], replace(chosen[-1], cause_set=cause_set)]
         if exchange.found is not None:
             trial = [*chosen[:-1], exchange.found.first]
-            other = refits.extensions.get(trial[-1].cause) or try_extension(problem, trial)
+            other = refits.extension_with(trial) or try_extension(problem, trial)
             if other is not None and (other_test := self.assess(other, trial)).p_value < self.level:
                 self.combinations.append((trial[-1].cause, *exchange.found.others))
                 return trial, other, other_test
