@@ -325,7 +325,7 @@ def extend_by_steps(
     causes = selection.law_causes
     step_of = match_findings(causes, findings)
     for step in range(len(findings)):
-        chosen = [one for one, its_step in zip(causes, step_of, strict=True) if its_step <= step]
+        chosen = [one for one, own in zip(causes, step_of, strict=True) if own is not None and own <= step]
         versions = [one.version for one in chosen]
         if len(chosen) == len(causes):
             yield versions, selection.fit
@@ -333,20 +333,24 @@ def extend_by_steps(
             yield versions, fit_causes(selection.problem, chosen)
 
 
-def match_findings(causes: Sequence[SelectedCause], findings: Sequence[Finding]) -> list[int]:
+def match_findings(causes: Sequence[SelectedCause], findings: Sequence[Finding]) -> list[int | None]:
     """The finding of the whole log for which each cause selected in a part of it stands.
 
     It is the one with this cause in its cause set, of unknown structure one that follows the same if there is
-    one, or else the last.
+    one. Others take the places of findings for which nothing stands. Where all have something that does, a
+    cause is beside what the whole law has, whose errors are wanted: None.
     """
 
-    def match(selected: SelectedCause) -> int:
+    def match(selected: SelectedCause) -> int | None:
         inside = [k for k, finding in enumerate(findings) if selected.cause in finding.cause_set]
         carriers = getattr(selected.version, "carriers", ())
         same = [k for k in inside if getattr(findings[k].version, "carriers", ()) == carriers]
-        return [*same, *inside, len(findings) - 1][0]
+        return next(iter([*same, *inside]), None)
 
-    return [match(selected) for selected in causes]
+    matched = [match(selected) for selected in causes]
+    free = [k for k in range(len(findings)) if k not in matched]
+    places = iter([*free, *free[-1:] * len(causes)])
+    return [next(places, None) if place is None else place for place in matched]
 
 
 def _prediction_errors(

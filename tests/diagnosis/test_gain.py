@@ -1,6 +1,6 @@
 """What an extension gains: on rows that took no part, with intervals for a fresh replicate."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 
@@ -16,6 +16,7 @@ from stickslip_fit.diagnosis.cross_validation import (
     deal_kinds,
     hold_out_sessions,
     make_folds,
+    match_findings,
     predict_held_out,
     select_from_training,
 )
@@ -292,6 +293,34 @@ def test_what_stands_for_a_withdrawn_finding_counts_in_no_other(problem):
     assert own[0].cause == "drift"
     assert alone.baseline == together.baseline
     assert alone.extended == pytest.approx(own[0].gain.extended, rel=1e-6)
+
+
+@dataclass
+class Choice:
+    """A cause selected in a part of a log, or a finding of the whole log."""
+
+    cause: str
+    cause_set: tuple[str, ...] = ()
+    version: object = None
+
+
+@pytest.mark.parametrize(
+    ("selected", "expected"),
+    [
+        (["b", "a"], [1, 0]),
+        (["rival of b"], [1]),
+        (["other", "b"], [0, 1]),  # in the place of a
+        (["other", "another"], [0, 1]),
+        (["other", "another", "third"], [0, 1, 1]),
+        (["a", "other", "another"], [0, 1, 1]),
+        (["a", "b", "other"], [0, 1, None]),  # beside all that the whole law has
+        (["a", "rival of b", "b"], [0, 1, 1]),
+        ([], []),
+    ],
+)
+def test_what_a_fold_finds_besides_stands_for_nothing(selected, expected):
+    findings = [Choice("a", ("a",)), Choice("b", ("b", "rival of b"))]
+    assert match_findings([Choice(one) for one in selected], findings) == expected
 
 
 def test_rows_on_which_the_laws_alone_stall_say_nothing_of_a_cause(problem):
