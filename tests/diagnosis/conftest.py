@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.diagnosis import diagnose
+from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
 from stickslip_fit.laws import Prismatic
 
@@ -29,6 +30,13 @@ def changed(table: pd.DataFrame, relative: np.ndarray) -> pd.DataFrame:
     """The same campaign, counts grown by as much."""
     steps = np.round(table["steps"] * (1.0 + relative) / 5.0).astype(int) * 5
     return table.assign(steps=steps)
+
+
+def waves(study):
+    """One unstructured alternative in the place of all, to be quick."""
+    hours = study.rows["session_seconds"].to_numpy(float) / 3600
+    columns = np.stack([np.cos(np.pi * k * hours / hours.max()) for k in range(1, 5)], axis=-1)
+    return [make_hypothesis("unknown:time", None, None, study.project(columns / study.scale[:, None]))]
 
 
 @pytest.fixture(scope="package")

@@ -10,10 +10,12 @@ from tests.hidden.places import draw_profile, write_profile_log
 
 
 def diagnose_profile(tmp_path, joint, by_direction, seed, rms):
+    """Of the joint's own traverses."""
     profile = draw_profile(np.random.default_rng(seed), rms, by_direction)
     path = tmp_path / "log.csv"
     write_profile_log(path, joint, profile, seed=seed)
-    return profile, ssf.diagnose(ssf.read_log(path), gain=False)
+    log = ssf.read_log(path)
+    return profile, ssf.diagnose(log.select(log.rows["joint"] == joint), gain=False)
 
 
 def learned_profile(diagnosis, joint, share, sign):
@@ -70,7 +72,8 @@ def test_of_a_profile_in_one_direction_nothing_is_said_of_the_other(tmp_path):
     both = draw_profile(np.random.default_rng(2), 0.02, False)
     path = tmp_path / "log.csv"
     write_profile_log(path, 2, lambda share, sign: both(share, sign) * (sign > 0), seed=2)
-    (finding,) = ssf.diagnose(ssf.read_log(path), gain=False).findings
+    log = ssf.read_log(path)
+    (finding,) = ssf.diagnose(log.select(log.rows["joint"] == 2), gain=False).findings
     (rms,) = finding.parameters
     assert (finding.cause, rms.joint, rms.direction) == ("along-travel", 2, "+")
     assert 0.5 * rms.size.low < 0.02 < 1.5 * rms.size.high  # of a joint whose ends few traverses reach

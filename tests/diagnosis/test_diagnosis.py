@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from stickslip_fit.causes import Drift, ThermalWarmUp
 from stickslip_fit.diagnosis import diagnose, next_experiment
 from stickslip_fit.errors import InputError
 from tests.diagnosis.conftest import ALPHA
@@ -12,8 +13,9 @@ from tests.diagnosis.conftest import ALPHA
 def test_the_gain_is_measured_afterwards_as_well(drifting):
     """In one step and in two."""
     one_joint = drifting.select(drifting.rows["joint"] == 3)
-    whole = diagnose(one_joint, alpha=ALPHA)
-    named = diagnose(one_joint, alpha=ALPHA, gain=False)
+    causes = [Drift(), ThermalWarmUp()]
+    whole = diagnose(one_joint, causes=causes, alpha=ALPHA)
+    named = diagnose(one_joint, causes=causes, alpha=ALPHA, gain=False)
     assert named.gain is None
     afterwards = named.measure_gain(workers=1)
     assert afterwards.gain.low == whole.gain.low > 0

@@ -29,11 +29,12 @@ from stickslip_fit.diagnosis.gain import (
     number_session_configurations,
     select_in_fold,
 )
-from stickslip_fit.diagnosis.hypotheses import compute_changes, make_hypothesis
+from stickslip_fit.diagnosis.hypotheses import compute_changes
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.selection import Selection, select_causes
 from stickslip_fit.machine import load_machine
+from tests.diagnosis.conftest import waves
 from tests.hidden import outside
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
@@ -55,10 +56,12 @@ def problem():
     return made
 
 
-def waves(study):
-    hours = study.rows["session_seconds"].to_numpy(float) / 3600
-    columns = np.stack([np.cos(np.pi * k * hours / hours.max()) for k in range(1, 5)], axis=-1)
-    return [make_hypothesis("unknown:time", None, None, study.project(columns / study.scale[:, None]))]
+@pytest.fixture(scope="module")
+def two_causes(problem):
+    """The selection of two hidden causes, and its findings."""
+    own_problem = problem(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
+    selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
+    return selection, size_findings(selection, own_problem, ALPHA)
 
 
 def splits_of(selection):
@@ -178,7 +181,7 @@ def test_the_traverses_beside_a_lasting_change_stay_in_training(problem):
 def test_structure_without_a_name_stays_known_in_each_joint():
     """Without what a joint shows of it, whether it acts on that joint, too, would be a guess."""
     case = next(one for one in outside.cases((25.0,), 461_000) if one.form == "square of psi")
-    selection = diagnose(read_hidden(case.make(0)), gain=False).selection
+    selection = diagnose(read_hidden(case.make(0), (2, 3)), gain=False).selection
     (found,), study = selection.law_causes, selection.problem.linearize()
     change = compute_changes(study, found.version, selection.fit.values[None])[:, 0] / study.scale
     whole = study.basis.toarray()
@@ -258,10 +261,8 @@ def test_the_number_of_processes_makes_no_difference(problem, monkeypatch, limit
     assert (one.baseline, one.extended, one.low, one.high) == (two.baseline, two.extended, two.low, two.high)
 
 
-def test_each_finding_gains_its_step_and_steps_add_up(problem):
-    own_problem = problem(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
-    selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
-    found = size_findings(selection, own_problem, ALPHA)
+def test_each_finding_gains_its_step_and_steps_add_up(two_causes):
+    selection, found = two_causes
     splits = splits_of(selection)[:1]
     [(whole, own)] = estimate_gains(selection, found, [splits], FoldSearches(selection, ALPHA), workers=1)
     assert {each.cause for each in own} >= {"drift", "end-stop-latency"}
@@ -273,11 +274,9 @@ def test_each_finding_gains_its_step_and_steps_add_up(problem):
     assert whole.by_session["traverses"].sum() == sum(len(split.held_out) for split in splits)
 
 
-def test_what_stands_for_a_withdrawn_finding_counts_in_no_other(problem):
+def test_what_stands_for_a_withdrawn_finding_counts_in_no_other(two_causes):
     """Neither a cause of its own name nor what a split has in its place, which may predict badly."""
-    own_problem = problem(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
-    selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
-    found = size_findings(selection, own_problem, ALPHA)
+    selection, found = two_causes
     (kept,) = (one for one in found if one.cause == "drift")
     splits, options = splits_of(selection)[:2], {"workers": 1, "confirm": lambda _: selection}
     predicted = []

@@ -219,7 +219,7 @@ def test_a_weighted_mean_is_as_uncertain_as_its_expected_variances_say(spread):
     assert np.mean(np.abs(standardize(expected)) < 1.96) == pytest.approx(0.95, abs=0.015)
 
 
-@pytest.mark.parametrize("df", [1, 5, 20])
+@pytest.mark.parametrize("df", [1, pytest.param(5, marks=pytest.mark.nightly), 20])
 def test_noise_is_told_by_as_many_rows_as_the_law_leaves(rows, parts, df):
     """Over 60 logs of laws that follow some rows much closer than others."""
     rng, n, predicted = np.random.default_rng(df), len(rows), Prismatic().predict(rows, parts[0].values)

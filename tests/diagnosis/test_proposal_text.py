@@ -38,7 +38,7 @@ def hidden():
 
 @pytest.fixture(scope="module")
 def proposed(hidden):
-    diagnosis = diagnose(read_hidden(hidden), gain=False)
+    diagnosis = diagnose(read_hidden(hidden, (2, 3)), gain=False)
     assert [finding.cause for finding in diagnosis.findings] == ["unknown"]
     assert diagnosis.findings[0].version is not None
     return diagnosis

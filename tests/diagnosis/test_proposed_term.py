@@ -77,7 +77,7 @@ def test_a_law_says_nothing_of_a_joint_of_which_the_log_shows_nothing():
     case = next(one for one in outside.cases((25.0,), 461_000) if one.form == "q3 and sin theta, joint 2")
     log = read_hidden(case.make(0))
     shows = (log.rows["joint"] == 2) | ((log.rows["joint"] == 1) & (log.rows["q3"] == 0.0))
-    (finding,) = diagnose(log.select(shows), gain=False).findings
+    (finding,) = diagnose(log.select(shows), causes=(), gain=False).findings
     assert {joint for joint, _ in finding.version.on} == {2}
 
 

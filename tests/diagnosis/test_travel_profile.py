@@ -144,7 +144,7 @@ def peaked(height):
 
 def test_steps_that_are_several_times_larger_in_one_place_than_in_another(tmp_path):
     """A sum of cosines leaves a third of this, and is below 0 somewhere, where counts are no numbers."""
-    diagnosis = ssf.diagnose(write_log(tmp_path, peaked(0.8)))
+    diagnosis = ssf.diagnose(write_log(tmp_path, peaked(0.8)), causes=[AlongTravel()])
     (profile,) = diagnosis.findings
     assert profile.cause == "along-travel"
     assert diagnosis.gain.extended < 0.03 * diagnosis.gain.baseline
@@ -178,7 +178,7 @@ def rough_profiles(seed):
 def test_where_a_function_fails_counts_are_no_gross_errors(tmp_path):
     """It runs through the rows that it is fitted to; one that it misses is as far off as others left out."""
     log = write_log(tmp_path, rough_profiles(17), seed=17, traverses=25, travel=180, noise=0.0)
-    diagnosis = ssf.diagnose(log)
+    diagnosis = ssf.diagnose(log, causes=())
     assert [one.cause for one in diagnosis.findings] == ["unknown"]
     times = re.search(r"the extended law still errs by (\d+) times", " ".join(diagnosis.summary().headline))
     assert float(times[1]) == pytest.approx(diagnosis.gain.extended / diagnosis.gain.noise_floor, abs=0.5)

@@ -5,14 +5,17 @@ from dataclasses import replace
 
 import pytest
 
-import stickslip_fit as ssf
 from stickslip_fit.causes import library
-from stickslip_fit.diagnosis import diagnose, gain, withdrawal
+from stickslip_fit.diagnosis import gain, withdrawal
 from stickslip_fit.diagnosis._json import diagnosis_to_json
 from stickslip_fit.diagnosis._summary import ranking_tables
 from stickslip_fit.diagnosis.gain import hold_out_configurations
 from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.pipeline import diagnose_problem
+from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.plotting.diagnosis import plot_ranking
+from stickslip_fit.reporting.diagnosis import diagnosis_section
+from tests.diagnosis.conftest import waves
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
 
@@ -23,9 +26,10 @@ FEW = ("drift", "theta-offset", "q2-offset", "cable-torque", "end-stop-latency")
 def two():
     """A diagnosis of two causes, its gain not measured."""
     log = read_hidden(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
-    found = diagnose(log, causes=[one for one in library() if one.name in FEW], gain=False)
+    problem, missing = problem_from_log(log, [one for one in library() if one.name in FEW])
+    found = diagnose_problem(replace(problem, alternatives=waves), missing, alpha=0.01)
     assert {one.cause for one in found.findings} == {"drift", "end-stop-latency"}
-    return found
+    return replace(found, log=log)
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +96,7 @@ def test_a_cause_that_is_withdrawn_is_told_as_such_wherever_causes_are_listed(tw
 def test_structure_without_a_name_that_may_be_left_is_told_in_text_and_page(two):
     half, unlikely = (replace(two, inclusion=two.inclusion | {UNKNOWN: one}) for one in (0.5, 0.1))
     said = "there may be structure without a name, with a probability of"
-    for answer in (" ".join(str(half).split()), ssf.report(half.log, diagnosis=half).html):
+    for answer in (" ".join(str(half).split()), " ".join(diagnosis_section(half).paragraphs)):
         assert said in answer
     assert diagnosis_to_json(half)["inclusion"][UNKNOWN] == 0.5
     assert "there may be structure" not in " ".join(str(unlikely).split())
