@@ -189,7 +189,7 @@ def jump(n=120, at=80):
 @pytest.mark.parametrize(
     ("column", "time"),
     [
-        (lambda rows: np.arange(1, 121), "order"),
+        pytest.param(lambda rows: np.arange(1, 121), "order", marks=pytest.mark.nightly),
         (lambda rows: np.arange(120) + (np.arange(120) > 50), "order"),  # a number that was left out
         (lambda rows: 100.0 - rows["t"] / 60.0, "t"),
     ],

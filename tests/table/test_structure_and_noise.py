@@ -43,7 +43,7 @@ def test_a_curve_beyond_a_line_is_no_noise_that_persists():
     assert found.repeatability == pytest.approx(0.002, rel=0.3)
 
 
-@pytest.mark.parametrize("cycles", [3, 5, 20])
+@pytest.mark.parametrize("cycles", [3, pytest.param(5, marks=pytest.mark.nightly), 20])
 def test_a_few_cycles_are_a_period(cycles):
     t = np.arange(200.0)
     y = np.sin(2 * np.pi * t * cycles / 200) + 0.1 * np.random.default_rng(cycles).standard_normal(200)
@@ -79,11 +79,14 @@ def test_a_large_constant_changes_nothing():
     assert shifted.repeatability == pytest.approx(plain.repeatability, rel=1e-3)
 
 
-@pytest.mark.parametrize("carried", [0.95, pytest.param(1.0, marks=pytest.mark.nightly)])
-def test_noise_that_persists_is_no_structure(carried):
-    """Walks of 60 to 240 rows: none of 8 is an alarm, of which 1 % may be."""
+@pytest.mark.parametrize(
+    ("carried", "number"),
+    [(0.95, 3), *(pytest.param(one, 8, marks=pytest.mark.nightly) for one in (0.95, 1.0))],
+)
+def test_noise_that_persists_is_no_structure(carried, number):
+    """Walks of 60 to 240 rows: none of a few is an alarm, of which 1 % may be."""
     alarms = 0
-    for seed in range(8):
+    for seed in range(number):
         rng = np.random.default_rng(100 + seed)
         n = int(rng.integers(60, 240))
         y = lfilter([1.0], [1.0, -carried], rng.standard_normal(n + 300))[-n:]
@@ -181,7 +184,7 @@ def test_coefficients_of_which_there_is_no_likelihood_are_no_reason_to_fail(monk
     assert found[0] == pytest.approx(0.8, abs=4 * np.sqrt((1 - 0.8**2) / 300))
 
 
-@pytest.mark.parametrize("seed", [20, 21])
+@pytest.mark.parametrize("seed", [20, pytest.param(21, marks=pytest.mark.nightly)])
 def test_what_noise_that_persists_did_while_samples_are_missing_is_no_sudden_change(seed):
     rng, seconds = np.random.default_rng(seed), np.arange(300.0)
     wander = lfilter([1.0], [1.0, -0.99], 0.2 * rng.standard_normal(500))[-300:]
