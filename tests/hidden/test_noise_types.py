@@ -2,7 +2,8 @@
 
 import pytest
 
-from benchmarks.noise_types import GROSS, NO_CAUSE, TYPES, answer, coverage, findings, make
+from benchmarks.noise_types import GROSS, NO_CAUSE, TYPES, coverage, findings, make
+from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.gross_errors import find_gross_errors
 from stickslip_fit.diagnosis.problem import problem_from_log
 from tests.hidden.noise import KINDS
@@ -41,7 +42,7 @@ def test_noise_of_one_session_is_called_so_and_the_text_names_the_session():
         hidden.campaign.plan.session == hidden.campaign.plan.session[hidden.campaign.repeatability.argmax()]
     )
     (name,) = hidden.table["session"][noisy].unique()
-    found = answer(hidden, 5)
+    found = diagnose(read_hidden(hidden, (2, 3)), seed=5, gain=False)
     causes = tuple(finding.cause for finding in found.findings)
     assert (causes, found.noise_properties) == EXPECTED["sessions"]
     assert f" times as large in session {name} as in others" in str(found)
