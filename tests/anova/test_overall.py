@@ -115,13 +115,13 @@ def test_a_difference_is_in_its_interval_and_one_that_is_detectable_is_mostly_de
         np.mean(
             [
                 analyze(observe(rng, design, "direction"), machine)["direction"].difference_unit ** 2
-                for _ in range(50)
+                for _ in range(25)
             ]
         )
     )
     true = strict.detectable_difference / strict.difference_unit * estimate
     found, covered = [], []
-    for _ in range(200):
+    for _ in range(150):
         rows = observe(rng, design, "direction")
         rows["step_size"] *= np.exp(true * (rows["direction"] == "+"))
         test = analyze(rows, machine)["direction"]

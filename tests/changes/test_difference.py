@@ -41,9 +41,19 @@ def alarms(scatter, old, new, repetitions, change=0.0, seed=0):
     )
 
 
-@pytest.mark.parametrize("repetitions", [150, pytest.param(6000, marks=pytest.mark.nightly)])
-@pytest.mark.parametrize(("old", "new"), [(3, 3), (6, 2), (4, 1)])
-@pytest.mark.parametrize("scatter", [UNEVEN, EVEN, np.zeros(6)], ids=["uneven", "even", "none"])
+@pytest.mark.parametrize(
+    ("scatter", "old", "new", "repetitions"),
+    [
+        pytest.param(UNEVEN, 6, 2, 150, id="uneven"),
+        pytest.param(EVEN, 4, 1, 150, id="even"),
+        pytest.param(np.zeros(6), 3, 3, 150, id="none"),
+        *(
+            pytest.param(scatter, *days, 6000, marks=pytest.mark.nightly)
+            for scatter in (UNEVEN, EVEN, np.zeros(6))
+            for days in ((3, 3), (6, 2), (4, 1))
+        ),
+    ],
+)
 def test_where_nothing_changes_at_most_one_comparison_in_a_hundred_alarms(scatter, old, new, repetitions):
     share = alarms(scatter, old, new, repetitions)
     assert share * repetitions <= binom.ppf(0.999, repetitions, ALPHA)

@@ -39,8 +39,16 @@ def compare(make_log, before, after, laws=None, psi="0"):
     return detect_changes(old, new, laws=laws)
 
 
-@pytest.mark.parametrize("laws", [None, {3: ssf.physical_law}], ids=["published", "physical"])
-@pytest.mark.parametrize(("quantity", "regime"), CASES)
+@pytest.mark.parametrize(
+    ("quantity", "regime", "laws"),
+    [
+        *((*case, None) for case in CASES),
+        *(
+            pytest.param(*case, {3: ssf.physical_law}, marks=[pytest.mark.nightly] if number % 2 else [])
+            for number, case in enumerate(CASES)
+        ),
+    ],
+)
 def test_a_change_of_the_stage_is_read(make_log, quantity, regime, laws):
     changes = compare(make_log, stage(regime), stage(regime, quantity, 1 + SIZE), laws)
     found = read_stage_difference(changes)

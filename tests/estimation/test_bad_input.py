@@ -145,7 +145,9 @@ def test_all_steps_equal_over_full_traverses(fit, campaign):
     assert (table["low"] <= table["high"]).all()
 
 
-@pytest.mark.parametrize("method", ["least-squares", "bayes"], indirect=True)
+@pytest.mark.parametrize(
+    "method", ["least-squares", pytest.param("bayes", marks=pytest.mark.nightly)], indirect=True
+)
 def test_all_steps_equal_though_the_traverses_are_not(fit, campaign):
     """No law gives such counts: whatever is reported as a number repeats as badly as they do."""
     shorter = tuple(

@@ -11,7 +11,7 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_closed_form, fit_least_squares
 from stickslip_fit.estimation.least_squares import profile_intervals
 from stickslip_fit.logs import read_log
-from tests.conftest import CALIBRATION_3
+from tests.conftest import CALIBRATION_3, SWEEPS
 
 A, TAU, LATE = 0.04, 1500.0, 200.0
 CAUSES = (ThermalWarmUp(), EndStopLatency())
@@ -176,7 +176,9 @@ def test_a_cause_that_asks_for_what_is_not_known_leaves_it_unknown(campaign, tmp
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
 def test_causes_of_the_very_log_that_is_calibrated_are_said_to_be(campaign, tmp_path, fitted, estimator):
     """Their scatter is no error to expect; of another log it is."""
-    log = hidden(campaign(check_every=1), tmp_path / "log.csv")
+    settings = tuple(one for one in CALIBRATION_3 + SWEEPS if one["joint"] == 3)
+    table = campaign(("2012-03-05",), settings, check_every=1)
+    log = hidden(table, tmp_path / "log.csv")
     own = estimator(log, causes_from=fit_least_squares(log, causes=CAUSES))
     assert [flag.flag for flag in own.flags].count("same_log") == 1
     assert "fitted on this very log" in str(own.summary())

@@ -71,7 +71,7 @@ def test_intervals_hold_the_counts_of_a_plan(planned, estimator, campaigns):
     assert worst >= binom.ppf(0.001 / hits.shape[1], campaigns, 0.95)
 
 
-@pytest.mark.parametrize("campaigns", [10, pytest.param(300, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("campaigns", [6, pytest.param(300, marks=pytest.mark.nightly)])
 def test_a_function_of_each_logged_session_is_not_that_of_a_session_to_come(planned, campaigns):
     """With that of the latest session the intervals hold a fifth of the counts."""
     logged, then = planned(CALIBRATION, days(4)), planned(FRESH, "2012-03-20")
