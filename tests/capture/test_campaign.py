@@ -414,7 +414,7 @@ def test_two_captures_at_once_are_refused(short):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork a capture that is killed")
-@pytest.mark.parametrize(("kills", "seed"), [(6, 1), pytest.param(200, 2, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(("kills", "seed"), [(3, 1), pytest.param(200, 2, marks=pytest.mark.nightly)])
 def test_killed_at_random_moments_it_loses_nothing(folder, kills, seed):
     program = [sys.executable, "-m", "tests.capture.killed", folder, str(kills), str(seed)]
     root = Path(__file__).parents[2]

@@ -198,7 +198,7 @@ def test_a_file_larger_than_any_log_is_refused_unread(tmp_path):
         (b"x" * 2**25, "more than 16 MiB"),
         (b"," * 1_000_000 + b"\n1\n", "1,000,001 columns, and no more than 2,000"),
         (b"session,time\n" + b"1,2,3\n" * 20_000, "more than 10,000 rows have another number of cells"),
-        (b"session,time\n" + b"\n" * 2_000_000, "a header and no rows"),
+        (b"session,time\n" + b"\n" * 500_000, "a header and no rows"),
     ],
 )
 def test_a_file_of_no_sensible_shape_is_one_message(tmp_path, raw, said):

@@ -28,7 +28,7 @@ SHRINKS = 0.01  # an hour
 @pytest.fixture(scope="module")
 def made(campaign, fitted):
     """Three sessions in which steps shrink by 1 % an hour."""
-    table = campaign(DATES, SETTINGS, replicates=3)
+    table = campaign(DATES, SETTINGS, replicates=2)
     steps = np.round(table["steps"] * (1.0 + SHRINKS * hours_in_session(table)) / 5.0).astype(int) * 5
     return fitted(table.assign(steps=steps), "drifting.csv")
 

@@ -42,9 +42,9 @@ def same(first, second):
 
 
 def test_chunks_and_processes_change_nothing(study, monkeypatch):
-    plan = study(scatter="uneven", scenarios=(Scenario("a"), Scenario("b")))
+    plan = study(scatter="uneven", scenarios=(Scenario("a"), Scenario("b")), campaigns=10)
     whole = run_study(plan, backend=Cores(1))
-    assert len(whole.campaigns) == 2 * 20 * 3 * 2
+    assert len(whole.campaigns) == 2 * 10 * 3 * 2
     monkeypatch.setattr(study_module, "CHUNK_CAMPAIGNS", 7)
     same(whole, run_study(plan, backend=Cores(2)))
 
