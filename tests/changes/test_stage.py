@@ -61,7 +61,10 @@ def test_a_change_of_the_stage_is_read(make_log, quantity, regime, laws):
     assert f"{regime} steps" in summarize_changes(changes).headline[-1]
 
 
-@pytest.mark.parametrize(("quantity", "factor"), [("friction", 0.9), ("ramp time", 1.1), ("voltage", 0.9)])
+@pytest.mark.parametrize(
+    ("quantity", "factor"),
+    [("friction", 0.9), pytest.param("ramp time", 1.1, marks=pytest.mark.nightly), ("voltage", 0.9)],
+)
 def test_a_change_that_takes_some_loads_into_the_other_regime_is_read(make_log, quantity, factor):
     """lambda is not the same before and after it, and one for both logs fits neither."""
     regime = "limited under some loads"

@@ -110,7 +110,10 @@ CASES = {  # change: quantities that it may be, what it is called; rates are in 
 }
 
 
-@pytest.mark.parametrize(("regime", "change"), CASES)
+@pytest.mark.parametrize(
+    ("regime", "change"),
+    [pytest.param(*one, marks=[pytest.mark.nightly] if one[1] == "ramp-time" else []) for one in CASES],
+)
 def test_a_hidden_change_of_a_stage_is_read(read_table, regime, change):
     expected, size = CASES[regime, change]
     table = drive_stage("session", Stage(regime), change, 0.1, seed=1).table

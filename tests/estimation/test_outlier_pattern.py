@@ -35,7 +35,7 @@ def chosen(places) -> np.ndarray:
 
 
 @pytest.mark.parametrize("repetitions", [30, pytest.param(2000, marks=pytest.mark.nightly)])
-@pytest.mark.parametrize("count", [2, 3, 8])
+@pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.nightly), 8])
 def test_isolated_errors_are_seldom_called_a_pattern(rows, count, repetitions):
     random = np.random.default_rng(count)
     found = [find_pattern(rows, chosen(random.choice(N, count, replace=False))) for _ in range(repetitions)]

@@ -37,7 +37,7 @@ def by_hand(rows):
     )
 
 
-@pytest.mark.parametrize("joint", [3, 2])
+@pytest.mark.parametrize("joint", [3, pytest.param(2, marks=pytest.mark.nightly)])
 def test_least_squares_reaches_the_cramer_rao_bound(joint, study):
     plan = study(
         JOINT_3 if joint == 3 else ROTARY, sessions=1, campaigns=600,
