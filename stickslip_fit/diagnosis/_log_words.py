@@ -101,7 +101,7 @@ class LogWords(Words):
             f"{self.warn_of_new_session()}{self.describe_finding(first)}.{self._describe_travel(first)}",
             f"{self._describe_gain(first)}{self._describe_excess()}",
             *(f"{self.describe_side_effect(one)}{self._describe_travel(one)}" for one in others),
-            *(describe_reading(one, intervals=False) for one in self.diagnosis.stage if one.suffices),
+            *(describe_reading(one, intervals=False) for one in self.diagnosis.stage if one.has_size),
             *describe_noise(self.diagnosis),
             *describe_gaps(self.diagnosis),
         ]

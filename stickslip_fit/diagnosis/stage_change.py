@@ -136,6 +136,11 @@ class StageReading:
     left_out: tuple[int, ...] = ()
 
     @property
+    def has_size(self) -> bool:
+        """Whether one change suffices, and is known not to be 0 for at least one that it may be."""
+        return self.suffices and any(one.size.low > 0 or one.size.high < 0 for one in self.credible)
+
+    @property
     def suffices(self) -> bool:
         """Whether one change of the stage describes the findings."""
         return self.p_value >= NO_FIT

@@ -198,6 +198,8 @@ def test_the_headline_says_that_one_change_explains_several_findings(elbow):
     assert describe_reading(one, intervals=False) == said
     assert said in replace(elbow, stage=(one,)).summary().headline
     assert said not in replace(elbow, stage=(replace(one, p_value=1e-4),)).summary().headline
+    unsure = replace(one, changes=(StageChange("voltage", 1.0, Interval(0.01, -0.2, 0.3)),))
+    assert "voltage" not in replace(elbow, stage=(unsure,)).summary().headline
 
 
 def reading(*changes, p_value=0.5, limited=(1.0, 1.0)):
