@@ -142,6 +142,13 @@ def _finding_to_json(finding: Finding, percent: _Percent, joints: list[int]) -> 
     if finding.explains:
         content["explains"] = dict(finding.explains)
         content["explains_by_equation"] = dict(finding.explains_by_equation)
+    if (late := finding.lagged) is not None:
+        content["lagged"] = {
+            "column": late.column,
+            "lag_min": late.lag / 60.0,
+            "share": late.share,
+            "share_without_lag": late.without_lag,
+        }
     if finding.closest:
         content["closest"] = {"cause": finding.closest, "share": finding.share, "carrier": finding.carrier}
     return content

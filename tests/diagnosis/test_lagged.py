@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import lsim
 
 from stickslip_fit.diagnosis import diagnose
+from stickslip_fit.diagnosis._json import diagnosis_to_json
 from stickslip_fit.diagnosis.lagged import delay, low_pass
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
@@ -50,6 +51,10 @@ def test_a_column_that_steps_follow_late_is_told_with_its_lag(follows):
     assert unknown.lagged.column == "temperature"
     assert unknown.lagged.lag == pytest.approx(LAG, rel=0.35)
     assert unknown.lagged.share > 0.9
+    (content,) = (one for one in diagnosis_to_json(found)["findings"] if one["cause"] == "unknown")
+    assert content["lagged"]["column"] == "temperature"
+    assert content["lagged"]["lag_min"] == pytest.approx(unknown.lagged.lag / 60)
+    assert content["lagged"]["share"] > content["lagged"]["share_without_lag"]
     text = " ".join(str(found.summary()).split())
     assert re.search(
         "Steps seem to follow temperature some 10 min late: with this lag it explains 9. %", text
