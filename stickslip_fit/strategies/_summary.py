@@ -141,8 +141,9 @@ def describe_joint(own: JointStrategies) -> str:
     sentences.append(f"Least rms: {best}, {own.minutes[best]:.0f} min a session.")
     if len(others):
         n_alike = int((others["verdict"] == INDISTINGUISHABLE).sum())
-        share = {0: "None of", len(others): "All of"}.get(n_alike, f"{n_alike} of")
-        sentences.append(f"{share} the {len(others)} others cannot be told from it on this log.")
+        told = "cannot" if n_alike else "can"
+        share = "All of" if n_alike in (0, len(others)) else f"{n_alike} of"
+        sentences.append(f"{share} the {len(others)} others {told} be told from it on this log.")
         sentences.append(_describe_cheapest(own))
     return " ".join(sentences)
 
@@ -159,7 +160,7 @@ def _describe_cheapest(own: JointStrategies) -> str:
     )
 
 
-SHORT_VERDICTS = {BETTER: "better", WORSE: "worse", INDISTINGUISHABLE: "as good"}
+SHORT_VERDICTS = {BETTER: "better", WORSE: "worse", INDISTINGUISHABLE: "cannot tell"}
 
 
 def overview_table(joints: Sequence[JointStrategies]) -> Table:
@@ -183,7 +184,8 @@ def overview_table(joints: Sequence[JointStrategies]) -> Table:
                 row += [MISSING, MISSING, "left out"]
     rows = tuple((name, *row) for name, row in cells.items())
     note = (
-        "Time: for each session. Rms of errors on held-out traverses. As good: this log tells no difference."
+        "Time: for each session. Rms of errors on held-out traverses. Cannot tell: where all pairs are "
+        "compared at once, this log does not show whether it or the best errs less."
     )
     if any("left out" in row for row in rows):
         note += " Left out: the table of that name says why."
