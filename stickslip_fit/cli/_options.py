@@ -304,6 +304,10 @@ def _find_law(name: str) -> Any:
             if installed
             else ""
         )
+        if name.endswith(".json"):
+            raise InputError(
+                "is a saved result; give its file as --causes-from, or where RESULT is asked for"
+            )
         raise InputError(
             f"is no law that is known; give physical, MODULE:NAME, or a FILE.toml of formulas{known}"
         )

@@ -362,6 +362,7 @@ def test_what_cannot_be_saved_is_refused_before_the_fit(path, lab, monkeypatch, 
     monkeypatch.setattr(ssf.estimation.least_squares, "iterate_weights", lambda *_: pytest.fail("fitted"))
     saved.unlink()
     assert "cannot be saved" in refused("fit", path, "--law", "laboratory:NUMBER", "--json", saved)
+    assert "give its file as --causes-from" in refused("fit", path, "--law", saved)
     assert not saved.exists()
 
 
