@@ -110,7 +110,12 @@ class LoadNonlinearity(TermCause):
         sd = PRIOR_SD if len(BEND_SHAPES[self.form]) > 1 else np.inf
         return tuple(
             CauseParameter(
-                name, "%", f"{what} of joint {joint} {way}", joint=joint, direction=way, prior_sd=sd
+                name,
+                "%",
+                f"{what} of joint {joint} {format_direction(way)}",
+                joint=joint,
+                direction=way,
+                prior_sd=sd,
             )
             for name, what in list(BEND_SIZES.items())[: len(BEND_SHAPES[self.form])]
             for joint, way in self.groups

@@ -262,7 +262,7 @@ def _alternatives(diagnosis: Diagnosis) -> list[str]:
 
 
 def rank_causes(diagnosis: Diagnosis) -> list[tuple[str, float, float]]:
-    """Testable causes, likeliest first: name, probability, log10 of the Bayes factor against noise alone.
+    """Testable causes, likeliest first: name, probability, log10 of the Bayes factor against none besides.
 
     The Bayes factor is that of the test in which the cause was selected, or else of the last one; unknown
     structure has that of the cause that it is most like, if that is not named.
@@ -291,9 +291,12 @@ def ranking_tables(diagnosis: Diagnosis) -> list[Table]:
         (cause, _format_probability(probability), format_bayes_factor(power))
         for cause, probability, power in ranked
     )
+    beside = "with noise alone"
+    if diagnosis.findings:
+        beside = "without it, beside what was found before it; of what was not found, beside all that was"
     note = (
         "Probability: that the cause is at work; several may be at once. Bayes factor: how much likelier the "
-        "data are with the cause than with noise alone."
+        f"data are with the cause than {beside}."
     )
     note += "".join(f" Withdrawn: {cause}, since {why}." for cause, why in withdrawn.items())
     unlikely = not diagnosis.findings

@@ -287,6 +287,8 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
         if gain is not None and gain.extended >= gain.baseline:
             before, after = format_percent(gain.baseline), format_percent(gain.extended)
             worse = "no better" if before == after else f"worse, with errors of {after} in place of {before}"
+            if before != after and gain.high > 0:
+                worse += ", though not for certain"
             return f"It predicts within its session only: a new session is predicted {worse}."
         does = "may predict" if gain is None or gain.doubt else "predicts"
         return (

@@ -190,7 +190,9 @@ def departures_tables(result: Result) -> list[Table]:
             rows.append((titles[row.name], estimate, meanings[row.name]))
     rows += [(f"{cause}.*", f"{count:,} numbers", COEFFICIENTS) for cause, count in smooth.items()]
     columns = (Column("parameter", text=True), Column("estimate"), Column("what it is", text=True))
-    note = "One number each for all joints, directions and sessions. ± one standard error."
+    only = any(title != name for name, title in titles.items())
+    note = "One number each for all joints, directions and sessions"
+    note += f"{', but where it is named for some' if only else ''}. ± one standard error."
     name = name_of_laws(law_without_causes(fit.law) for fit in result.joints.values())
     return [Table(f"Departures from the {name}s", columns, tuple(rows), note=note)] if rows else []
 

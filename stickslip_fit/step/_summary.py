@@ -6,7 +6,7 @@ from math import isfinite, isnan
 
 import numpy as np
 
-from stickslip_fit._format import MISSING, format_number, format_plain, format_significant
+from stickslip_fit._format import MINUS, MISSING, format_number, format_plain, format_significant
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
 from stickslip_fit._typing import Array
 from stickslip_fit.step.analysis import FACTORS, LOADS, StageAnalysis
@@ -115,7 +115,7 @@ def _dependence(analysis: StageAnalysis) -> Table:
 
 def _loads(analysis: StageAnalysis) -> Table:
     steps = _at_points(analysis.sweeps[0], len(LOADS))
-    heads = [f"{load:+.1f} g" if load else "as given" for load in LOADS]
+    heads = [f"{load:+.1f} g".replace("-", MINUS) if load else "as given" for load in LOADS]
     columns = (*words("load"), *numbers(*heads, unit="nm", group="step size"))
     row = ("against the motion", *map(_nm, steps))
     given = analysis.stage.load / GRAVITY
