@@ -106,6 +106,8 @@ def _compare_causes(misfit: Misfit, shape: Array) -> dict[str, Any]:
     by_equation = {
         cause: max(map(explained, own)) for cause in explains if (own := misfit.single_directions(cause))
     }
+    # The likeliest form need not be the one that is most like the structure, which another one shares.
+    explains = {cause: max(share, by_equation.get(cause, 0.0)) for cause, share in explains.items()}
     closest = closest_cause(explains, by_equation)
     return {
         "closest": closest,

@@ -109,6 +109,8 @@ def test_every_known_cause_has_its_share_and_gains_less_than_the_term(found):
     assert table["cause"].iloc[0] in found.findings[0].explains
     assert table["share"].is_monotonic_decreasing
     assert ((table["share"] >= 0) & (table["share"] <= 1 + 1e-9)).all()
+    finding = found.findings[0]
+    assert all(finding.explains[cause] >= share for cause, share in finding.explains_by_equation.items())
     # A cause that explains nothing of the structure gains nothing on held-out traverses.
     assert table["gain"].iloc[-1] < 1e-4
     assert np.isfinite(table[["error", "gain"]]).all(axis=None)
