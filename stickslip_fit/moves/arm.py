@@ -18,7 +18,7 @@ from stickslip_fit._format import format_value
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.causes.parameters import FIRST_TRAVERSE, REQUIRED_HISTORY
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, check_type
 from stickslip_fit.estimation import Result
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs.schema import CONDITION_SPELLINGS, COVARIATE_PREFIX
@@ -198,6 +198,7 @@ def calibrated_arm(
     InputError
         If the result has no such session, or its machine no published geometry.
     """
+    check_type("result", result, Result)
     result.machine.require_geometry("moves and positions of the tip", PREDICT_DRIVES)
     sessions = list(dict.fromkeys(name for fit in result.joints.values() for name in fit.groups["session"]))
     latest = {fit.groups["session"].iloc[-1] for fit in result.joints.values()}
@@ -210,6 +211,7 @@ def calibrated_arm(
 
 def as_calibrated_arm(arm: CalibratedArm | Result) -> CalibratedArm:
     """An arm as it is; a Result as the arm of its latest session, the base at theta = psi = 0."""
+    check_type("arm", arm, CalibratedArm, Result)
     return calibrated_arm(arm) if isinstance(arm, Result) else arm
 
 
