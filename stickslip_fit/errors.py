@@ -1,6 +1,6 @@
 """InputError: input that cannot be used, with every issue: where, what is wrong and what to do about it.
 
-Rates, counts, seeds and types that callers give are checked here, in one way everywhere.
+False-alarm rates, counts, seeds and types that callers give are checked here, in one way everywhere.
 """
 
 from __future__ import annotations
@@ -137,18 +137,23 @@ def check_type(argument: str, value: object, *kinds: type) -> None:
     raise InputError(InputIssue(message, argument=argument))
 
 
-def check_rate(name: str, value: float) -> None:
-    """Check a probability that is neither 0 nor 1.
+# Of a false-alarm rate: the bootstrap has samples in inverse proportion to it.
+ALPHA_LIMITS = (0.001, 0.2)
+
+
+def check_alpha(value: float) -> None:
+    """Check a false-alarm rate.
 
     Examples
     --------
-    >>> check_rate("alpha", 0)
+    >>> check_alpha(1e-9)
     Traceback (most recent call last):
     ...
-    stickslip_fit.errors.InputError: alpha must lie above 0 and below 1, not 0
+    stickslip_fit.errors.InputError: alpha must lie between 0.001 and 0.2, not 1e-09
     """
-    if not isinstance(value, Real) or isinstance(value, bool) or not 0 < value < 1:
-        raise InputError(f"{name} must lie above 0 and below 1, not {value!r}")
+    low, high = ALPHA_LIMITS
+    if not isinstance(value, Real) or isinstance(value, bool) or not low <= value <= high:
+        raise InputError(f"alpha must lie between {low} and {high}, not {value!r}")
 
 
 def check_count(name: str, value: int, least: int = 1) -> None:

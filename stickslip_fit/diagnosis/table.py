@@ -45,7 +45,7 @@ from stickslip_fit.diagnosis.table_rows import (
     read_rows,
 )
 from stickslip_fit.diagnosis.time_or_columns import prefer_columns
-from stickslip_fit.errors import InputError, InputIssue, check_count, check_rate
+from stickslip_fit.errors import InputError, InputIssue, check_alpha, check_count
 from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.estimation.table_law import fit_table_law
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
@@ -122,11 +122,11 @@ def diagnose_table(
     Raises
     ------
     InputError
-        With every fault of the table and its roles; as `Law.bind_table`; if `alpha` is not between 0 and 1,
-        or `seed` is negative.
+        With every fault of the table and its roles; as `Law.bind_table`; if `alpha` is not between 0.001
+        and 0.2, or `seed` is negative.
     """
     began = clock.perf_counter()
-    check_rate("alpha", alpha)
+    check_alpha(alpha)
     check_count("seed", seed, least=0)
     law, causes = as_law(law), tuple(causes)
     roles = TableRoles(session, time, position, direction, group, sigma)
