@@ -39,6 +39,11 @@ def test_cells_that_are_no_numbers_are_named_with_their_rows(rows):
     assert "2 more cells" in said[-1]
 
 
+def test_a_column_of_texts_in_the_place_of_numbers_is_told_once(rows):
+    (said,) = faults(rows.assign(vel="fast"))
+    assert said.startswith("column vel, value 'fast': is a column of texts, and used as one of numbers; ")
+
+
 @pytest.mark.parametrize(
     ("change", "roles", "message"),
     [
