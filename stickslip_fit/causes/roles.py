@@ -192,7 +192,11 @@ def _list_cells(cells: pd.Series[Any], bad: BoolArray, message: str) -> list[Inp
     places = np.flatnonzero(bad)
     issues = [
         InputIssue(
-            f"row {cells.index[place] + 1} {message}", column=str(cells.name), value=str(cells.iloc[place])
+            message,
+            line=int(cells.index[place]) + 1,
+            place=f"row {cells.index[place] + 1}",
+            column=str(cells.name),
+            value=str(cells.iloc[place]),
         )
         for place in places[:MAX_LISTED].tolist()
     ]
