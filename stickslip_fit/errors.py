@@ -1,10 +1,11 @@
 """InputError: input that cannot be used, with every issue: where, what is wrong and what to do about it.
 
-Rates, counts and seeds that callers give are checked here, in one way everywhere.
+False-alarm rates, counts, seeds and types that callers give are checked here, in one way everywhere.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -95,18 +96,64 @@ def suggest(name: str, known: Iterable[str]) -> str:
     return f"; did you mean {similar[0]}?" if similar else ""
 
 
-def check_rate(name: str, value: float) -> None:
-    """Check a probability that is neither 0 nor 1.
+# What reads a type from a file, and what makes one where that is another call.
+_READERS = {
+    "DataFrame": "read_drives({}, law)",
+    "LawValues": "read_law_values({}, machine)",
+    "Log": "read_log({})",
+    "Machine": "load_machine({})",
+    "Plan": "read_plan({}, machine)",
+    "Posterior": "load_posterior({})",
+    "Result": "load_result({})",
+}
+_MAKERS = {"Diagnosis": "diagnose(log)", "Posterior": "fit(log, 'bayes')", "Result": "fit(log)"}
+
+
+def check_type(argument: str, value: object, *kinds: type) -> None:
+    """Refuse what is of none of these types, such as a file's name or a log in place of a plan.
 
     Examples
     --------
-    >>> check_rate("alpha", 0)
+    >>> from stickslip_fit.logs import Log
+    >>> check_type("log", "my-log.csv", Log)
     Traceback (most recent call last):
     ...
-    stickslip_fit.errors.InputError: alpha must lie above 0 and below 1, not 0
+    stickslip_fit.errors.InputError: log: a Log is wanted, not a str; read it with ssf.read_log('my-log.csv')
     """
-    if not isinstance(value, Real) or isinstance(value, bool) or not 0 < value < 1:
-        raise InputError(f"{name} must lie above 0 and below 1, not {value!r}")
+    if isinstance(value, kinds):
+        return
+    names, given = [kind.__name__ for kind in kinds], type(value).__name__
+    readers = {name: _READERS[name] for name in names if name in _READERS}
+    if isinstance(value, str | os.PathLike) and readers:
+        how, calls, path = "read it", readers, repr(os.fspath(value))
+    else:
+        made = {name: _MAKERS[name] for name in names if name in _MAKERS}
+        how, calls, path = "get one", readers | made, "path"
+    advice = f"{how} with " + " or ".join(f"ssf.{call.format(path)}" for call in calls.values())
+    if given == "DataFrame" and "Log" in names:
+        advice += ", or test a table with ssf.diagnose_table(table, law)"
+    article = "an" if given[0] in "aeiou" else "a"
+    message = f"a {' or '.join(names)} is wanted, not {article} {given}; {advice}"
+    raise InputError(InputIssue(message, argument=argument))
+
+
+# Of a false-alarm rate: the bootstrap has samples in inverse proportion to it.
+ALPHA_LIMITS = (0.001, 0.2)
+
+
+def check_alpha(value: float) -> None:
+    """Check a false-alarm rate.
+
+    Examples
+    --------
+    >>> check_alpha(1e-9)
+    Traceback (most recent call last):
+    ...
+    stickslip_fit.errors.InputError: alpha must lie between 0.001 and 0.2, not 1e-09
+    """
+    low, high = ALPHA_LIMITS
+    if not isinstance(value, Real) or isinstance(value, bool) or not low <= value <= high:
+        raise InputError(f"alpha must lie between {low} and {high}, not {value!r}")
 
 
 def check_count(name: str, value: int, least: int = 1) -> None:

@@ -18,7 +18,7 @@ import pandas as pd
 
 from stickslip_fit._format import coordinate_unit, join_words, step_unit
 from stickslip_fit.anova.contrasts import build_comparison
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, check_type
 from stickslip_fit.laws import expected_steps, float_column, traverse_length
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import position_columns
@@ -205,6 +205,7 @@ def step_size_observations(log: Log) -> pd.DataFrame:
         traverse in order), load_low, load_middle, load_high (published load along it, for a machine of the
         published geometry), configuration and orientation (labels of all positions, and of the base's).
     """
+    check_type("log", log, Log)
     rows = log.usable
     table = rows.astype({"session": object, "direction": object})
     steps = expected_steps(rows["steps"], rows["check_every"])

@@ -174,11 +174,17 @@ def _explain_unknown(name: str, where: str, names: list[str]) -> InputIssue:
 
 
 def find_bad_numbers(cells: pd.Series[Any]) -> list[InputIssue]:
-    """Cells of a column that are no finite numbers, the first of them with their rows, counted from 1."""
+    """Cells of a column that are no finite numbers, the first of them with their rows, counted from 1.
+
+    A column without any number is told once.
+    """
     if pd.api.types.is_bool_dtype(cells) or pd.api.types.is_numeric_dtype(cells):
         numbers = cells.to_numpy(dtype=float, na_value=np.nan)
     else:
         numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float, na_value=np.nan)
+        if len(cells) > 1 and np.isnan(numbers).all():
+            message = "is a column of texts, and used as one of numbers; use another column"
+            return [InputIssue(message, column=str(cells.name), value=str(cells.iloc[0]))]
     return _list_cells(cells, ~np.isfinite(numbers), "is no finite number; correct it, or leave out its row")
 
 
@@ -186,7 +192,11 @@ def _list_cells(cells: pd.Series[Any], bad: BoolArray, message: str) -> list[Inp
     places = np.flatnonzero(bad)
     issues = [
         InputIssue(
-            f"row {cells.index[place] + 1} {message}", column=str(cells.name), value=str(cells.iloc[place])
+            message,
+            line=int(cells.index[place]) + 1,
+            place=f"row {cells.index[place] + 1}",
+            column=str(cells.name),
+            value=str(cells.iloc[place]),
         )
         for place in places[:MAX_LISTED].tolist()
     ]

@@ -22,7 +22,7 @@ from stickslip_fit._json import write_json
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.changes.difference import Difference, SessionEstimates, compare_means
-from stickslip_fit.errors import InputError, check_rate
+from stickslip_fit.errors import InputError, check_alpha, check_type
 from stickslip_fit.estimation import Flag, Result, fit_least_squares
 from stickslip_fit.estimation._groups import usable_rows
 from stickslip_fit.estimation.identifiability import configuration_rows
@@ -162,9 +162,12 @@ def detect_changes(
     Raises
     ------
     InputError
-        If the logs are of two machines, are the same, or have no joint in common.
+        If `alpha` is not between 0.001 and 0.2, or the logs are of two machines, are the same, or have no
+        joint in common.
     """
-    check_rate("alpha", alpha)
+    check_alpha(alpha)
+    check_type("old", old, Log)
+    check_type("new", new, Log)
     if old.machine.sha256 != new.machine.sha256:
         raise InputError("the logs are of two machines; read both with the same machine file")
     if set(map(tuple, _keys(old))) & set(map(tuple, _keys(new))):

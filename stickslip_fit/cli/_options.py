@@ -18,7 +18,7 @@ import typer
 
 from stickslip_fit._io import find_write_fault
 from stickslip_fit.cli._files import INPUT, Output
-from stickslip_fit.errors import InputError, InputIssue, suggest
+from stickslip_fit.errors import ALPHA_LIMITS, InputError, InputIssue, suggest
 
 if TYPE_CHECKING:
     from stickslip_fit._typing import Array
@@ -63,7 +63,7 @@ Sheet = Annotated[
     str | None, typer.Option(metavar="NAME", help="Sheet of an Excel workbook; the first one without it.")
 ]
 Json = Annotated[Path | None, typer.Option("--json", help="Also save the result here."), Output()]
-Alpha = Annotated[float, typer.Option(min=0.001, max=0.2, help="False-alarm rate.")]
+Alpha = Annotated[float, typer.Option(min=ALPHA_LIMITS[0], max=ALPHA_LIMITS[1], help="False-alarm rate.")]
 Seed = Annotated[int, typer.Option(min=0, help="Of the bootstrap.")]
 ReportPath = Annotated[
     Path | None, typer.Option("--report", help="Also show it as one HTML page here, with figures."), Output()

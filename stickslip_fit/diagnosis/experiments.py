@@ -25,6 +25,7 @@ from stickslip_fit.diagnosis.linearized import ExtendedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.diagnosis.selection import Selection
+from stickslip_fit.errors import check_type
 
 Z_95_ONE_SIDED = 1.644854
 MAX_REPEATS = 50
@@ -48,6 +49,7 @@ def next_experiment(diagnosis: Diagnosis) -> tuple[NextTraverse, ...]:
     InputError
         If causes are left and the data were neither a log nor a table.
     """
+    check_type("diagnosis", diagnosis, Diagnosis)
     selection = diagnosis.selection
     doubtful = [finding for finding in diagnosis.findings if finding.equivalent and finding.cause != UNKNOWN]
     if not doubtful or diagnosis.table is not None:

@@ -60,7 +60,7 @@ from stickslip_fit.diagnosis.selection import (
 from stickslip_fit.diagnosis.separability import find_aliased_causes
 from stickslip_fit.diagnosis.stage_change import choose_laws_anew, read_stage
 from stickslip_fit.diagnosis.testability import NO_TRIALS, explain_too_small, find_untestable, is_log
-from stickslip_fit.errors import check_count, check_rate
+from stickslip_fit.errors import check_alpha, check_count
 from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 
@@ -107,10 +107,10 @@ def diagnose(
     Raises
     ------
     InputError
-        If the log has no usable traverse, `alpha` is not between 0 and 1, or `seed` is negative.
+        If the log has no usable traverse, `alpha` is not between 0.001 and 0.2, or `seed` is negative.
     """
     began = time.perf_counter()
-    check_rate("alpha", alpha)
+    check_alpha(alpha)
     check_count("seed", seed, least=0)
     progress("fitting the laws", 0.0)
     problem, missing = problem_from_log(log, causes, laws)
@@ -158,7 +158,7 @@ def diagnose_problem(
         As `diagnose`.
     """
     began = time.perf_counter()
-    check_rate("alpha", alpha)
+    check_alpha(alpha)
     check_count("seed", seed, least=0)
     progress("searching for causes", 0.05)
     rng = np.random.default_rng(seed)

@@ -42,10 +42,11 @@ from stickslip_fit.diagnosis.table_rows import (
     describe_choices,
     describe_weights,
     find_columns,
+    name_file,
     read_rows,
 )
 from stickslip_fit.diagnosis.time_or_columns import prefer_columns
-from stickslip_fit.errors import InputError, InputIssue, check_count, check_rate
+from stickslip_fit.errors import InputError, InputIssue, check_alpha, check_count
 from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.estimation.table_law import fit_table_law
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
@@ -122,25 +123,26 @@ def diagnose_table(
     Raises
     ------
     InputError
-        With every fault of the table and its roles; as `Law.bind_table`; if `alpha` is not between 0 and 1,
-        or `seed` is negative.
+        With every fault of the table and its roles; as `Law.bind_table`; if `alpha` is not between 0.001
+        and 0.2, or `seed` is negative.
     """
     began = clock.perf_counter()
-    check_rate("alpha", alpha)
+    check_alpha(alpha)
     check_count("seed", seed, least=0)
     law, causes = as_law(law), tuple(causes)
     roles = TableRoles(session, time, position, direction, group, sigma)
     used, levels = find_columns(law, response, causes), [str(getattr(cause, "by", "")) for cause in causes]
-    table, source = read_rows(frame, sheet, roles, used, levels)
-    table, notes = leave_out_gaps(table, {*used, *levels, *roles.columns.values()})
-    source["notes"] = (*source["notes"], *notes, *describe_choices(table, roles, law))
-    roles = replace(roles, time_unit=declared_time_unit(law, table, time))
-    if shared is not None:
-        law = replace(law, shared=shared if isinstance(shared, str) else tuple(shared))
-    progress("fitting the law", 0.0)
-    problem, missing = problem_from_table(
-        table, law, response=response, roles=roles, causes=causes, generic_causes=generic_causes
-    )
+    with name_file(frame, sheet):
+        table, source = read_rows(frame, sheet, roles, used, levels)
+        table, notes = leave_out_gaps(table, {*used, *levels, *roles.columns.values()})
+        source["notes"] = (*source["notes"], *notes, *describe_choices(table, roles, law))
+        roles = replace(roles, time_unit=declared_time_unit(law, table, time))
+        if shared is not None:
+            law = replace(law, shared=shared if isinstance(shared, str) else tuple(shared))
+        progress("fitting the law", 0.0)
+        problem, missing = problem_from_table(
+            table, law, response=response, roles=roles, causes=causes, generic_causes=generic_causes
+        )
     if not roles.sigma:
         problem = with_growing_noise(problem)
     search = partial(diagnose_problem, missing=missing, alpha=alpha, seed=seed, progress=progress)
@@ -179,10 +181,11 @@ def fit_table(
         As `diagnose_table`.
     """
     roles, law = TableRoles(session, time, sigma=sigma), as_law(law)
-    table, source = read_rows(frame, sheet, roles, find_columns(law, response, ()))
-    if shared is not None:
-        law = replace(law, shared=shared if isinstance(shared, str) else tuple(shared))
-    problem, _ = problem_from_table(table, law, response=response, roles=roles, generic_causes=())
+    with name_file(frame, sheet):
+        table, source = read_rows(frame, sheet, roles, find_columns(law, response, ()))
+        if shared is not None:
+            law = replace(law, shared=shared if isinstance(shared, str) else tuple(shared))
+        problem, _ = problem_from_table(table, law, response=response, roles=roles, generic_causes=())
     correlated = problem.with_autocorrelation()
     linearized = correlated.linearize()
     factor = float(np.sqrt(np.sum(linearized.residual**2) / max(linearized.df, 1)))
@@ -306,8 +309,10 @@ def _check_response(y: Array, rows: pd.DataFrame, name: str) -> None:
     if (far := size > MAX_RATIO * usual).any():
         issues = [
             InputIssue(
-                f"row {row + 1} is more than {MAX_RATIO:.0e} times as large as is usual here; correct it, or "
-                "leave out its row",
+                f"is more than {MAX_RATIO:.0e} times as large as is usual here; correct it, or leave out its "
+                "row",
+                line=int(row) + 1,
+                place=f"row {row + 1}",
                 column=name,
                 value=f"{value:g}",
             )

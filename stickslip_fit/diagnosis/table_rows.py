@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from stickslip_fit.causes.roles import TableRoles, direction_labels, prepare_row
 from stickslip_fit.causes.times import read_times
 from stickslip_fit.diagnosis.finding import TableInfo
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.laws import Law
 from stickslip_fit.laws.table import as_written
 from stickslip_fit.logs._numbers import with_numbers
@@ -44,6 +46,27 @@ def find_columns(law: Any, response: str | None, causes: Iterable[Any]) -> list[
         if isinstance(cause, CauseFormula):
             names += [*cause.effect.names, cause.target]
     return list(dict.fromkeys(filter(None, names)))
+
+
+@contextmanager
+def name_file(frame: pd.DataFrame | str | Path, sheet: str | None) -> Iterator[None]:
+    """Where a table is a file, name it in issues of its columns, and a row by its line there."""
+    try:
+        yield
+    except InputError as error:
+        if isinstance(frame, pd.DataFrame) or not any(one.column and not one.file for one in error.problems):
+            raise
+        read, file = read_table_file(frame, sheet), format_path(frame)
+
+        def locate(issue: InputIssue) -> InputIssue:
+            if not issue.column or issue.file:
+                return issue
+            if issue.line is None:
+                return replace(issue, file=file)
+            line = read.line_of(issue.line - 1)
+            return replace(issue, file=file, line=line, place=f"{read.lines_are} {line}")
+
+        raise InputError(map(locate, error.problems)) from None
 
 
 def read_table(

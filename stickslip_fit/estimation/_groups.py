@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, check_type
 from stickslip_fit.estimation._gaps import fill_gaps
 from stickslip_fit.laws import traverse_length
 from stickslip_fit.logs import Log
@@ -90,8 +90,9 @@ def usable_rows(log: Log) -> pd.DataFrame:
     Raises
     ------
     InputError
-        If there is none.
+        If there is none, or `log` is no Log.
     """
+    check_type("log", log, Log)
     rows = log.usable
     if rows.empty:
         raise InputError("the log has no usable traverse: every row is interrupted or excluded")

@@ -19,6 +19,7 @@ from scipy.special import fdtrc, gammaincinv, stdtrit
 
 from stickslip_fit._format import coordinate_unit, format_direction, format_percent, joint_name, step_unit
 from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers, words
+from stickslip_fit.errors import check_type
 from stickslip_fit.estimation.closed_form import solve_calibration
 from stickslip_fit.estimation.result import AxesArray, JointFit, Result, choose_repeatability, convert_table
 from stickslip_fit.estimation.reweighting import UNTIMED
@@ -225,6 +226,7 @@ def held_out_errors(log: Log, law: Result, constant: Result | None = None) -> He
     HeldOutErrors
         Traverses that a calibration cannot predict are left out.
     """
+    check_type("law", law, Result)
     constant = fit_constant_step(log, law) if constant is None else constant
     fresh = ~(law.residuals["used"] | constant.residuals["used"])
     rows = log.usable.loc[fresh.index[fresh]]

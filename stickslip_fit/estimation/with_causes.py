@@ -19,7 +19,7 @@ from stickslip_fit._format import format_value
 from stickslip_fit._linalg import svd
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes import Cause, ExtendedLaw, explain_missing
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, check_type
 from stickslip_fit.estimation._problem import (
     DEFAULT_OPTIONS,
     FitOptions,
@@ -321,6 +321,7 @@ def fixed_causes(result: Result, machine: Machine | None = None) -> FixedCauses:
     InputError
         If its laws have none, their sizes are not all known, or it is of another machine.
     """
+    check_type("causes_from", result, Result)
     if machine is not None and result.machine.sha256 != machine.sha256:
         raise InputError("the causes were fitted for another machine; read the log with that one")
     fits = list(result.joints.values())

@@ -17,7 +17,7 @@ import pandas as pd
 from stickslip_fit._json import to_plain, write_json
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, check_type
 from stickslip_fit.estimation import JointFit
 from stickslip_fit.estimation._groups import usable_rows
 from stickslip_fit.estimation.drive_ratio import RatioProfile, likeliest_law, profile_ratio
@@ -184,6 +184,7 @@ def compare_laws(
     InputError
         If the log has no usable traverse, or its machine has not the published geometry.
     """
+    check_type("log", log, Log)
     log.machine.require_geometry("the published and the physical laws")
     rows = usable_rows(log)
     if not len(log.joints):

@@ -32,6 +32,7 @@ from stickslip_fit.logs._table import (
     IssueCollector,
     IssueLocation,
     combine_chunks,
+    is_filled,
     is_shared,
     report_excess,
 )
@@ -130,6 +131,7 @@ _MAX_BLOCK_SIZE = 2**31 - 1
 _MAX_LINE = 2**24  # bytes
 _MAX_RAGGED = 10_000
 _NUMBER_PATTERN = re.compile(r"[+-]?[0-9.]+([eE][+-]?[0-9]+)?")
+_NO_ROWS_MESSAGE = "has a header and no rows; add one line for each traverse"
 _UNCLOSED_MESSAGE = "has a quotation mark that opens a cell and is never closed; close it, or write it twice"
 SEPARATOR_NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars"}
 _POSITION_COLUMN = re.compile(r"q[0-9]+_")  # of any machine
@@ -187,8 +189,9 @@ class CsvTable(FileTable):
 def parse_csv(raw: bytes, file: str, issues: IssueCollector) -> CsvTable | None:
     """Split a CSV file into cells; None where nothing can be read.
 
-    Empty lines are skipped. What cannot be read is added to `issues`; rows with too many or too few cells
-    are left out. A byte order mark is accepted.
+    Empty lines are skipped, and so are, with a note, rows of empty cells and columns without a name and a
+    cell at the end. What cannot be read is added to `issues`; rows with too many or too few cells are left
+    out. A byte order mark is accepted.
     """
     text, notes = decode(raw, file, issues)
     if text is None:
@@ -218,7 +221,7 @@ def parse_csv(raw: bytes, file: str, issues: IssueCollector) -> CsvTable | None:
         if records.quoted and whole.scan.unclosed:
             issues.add(file, _UNCLOSED_MESSAGE, line=header_line, value='"')
         else:
-            issues.add(file, "has a header and no rows; add one line for each traverse")
+            issues.add(file, _NO_ROWS_MESSAGE)
         return None
     try:
         read, ragged = _read_columns(records, _numeric_columns(names, first_row.cells))
@@ -232,8 +235,42 @@ def parse_csv(raw: bytes, file: str, issues: IssueCollector) -> CsvTable | None:
         _report_ragged(records, read.num_rows, file, issues)
     if _may_be_unclosed(records, read) and records.scan.unclosed is not None:
         issues.add(file, _UNCLOSED_MESSAGE, line=records.scan.unclosed, value='"')
-    table = CsvTable(file, names, header_line, CsvCells(records, read), notes=notes)
+    table = _without_empty(CsvTable(file, names, header_line, CsvCells(records, read), notes=notes))
+    if read.num_rows and not table.count:
+        issues.add(file, _NO_ROWS_MESSAGE)
+        return None
     return table if separator == COMMA else _with_decimals(table, separator, issues)
+
+
+def _without_empty(table: CsvTable) -> CsvTable:
+    """Without the empty cells that spreadsheets save below a table and to its right; a note says so."""
+    columns, width = table.cells.read.columns, len(table.names)
+    while width and not table.names[width - 1].strip() and not _holds_cells(columns[width - 1]):
+        width -= 1
+    empty = _find_empty_rows(columns)
+    unnamed = len(table.names) - width
+    counts = {"empty row": len(empty), "empty unnamed column": unnamed}
+    told = [pluralize(count, thing) for thing, count in counts.items() if count]
+    if not told:
+        return table
+    filled = np.setdiff1d(np.arange(table.n_in_file), empty) if len(empty) else None
+    notes = (*table.notes, f"{table.file}: {' and '.join(told)} left out")
+    return replace(table, names=table.names[:width], rows=filled, notes=notes)
+
+
+def _holds_cells(column: pa.ChunkedArray) -> bool:
+    return bool(is_filled(combine_chunks(column)).any())
+
+
+def _find_empty_rows(columns: list[pa.ChunkedArray]) -> Int64Array:
+    """Indices of the rows in which no cell holds more than spaces."""
+    rows = np.arange(len(columns[0]))
+    # A column of numbers knows whether it has an empty cell: most logs end here.
+    for column in sorted(columns, key=lambda column: pa.types.is_large_string(column.type)):
+        if not column.null_count and not pa.types.is_large_string(column.type):
+            return rows[:0]
+        rows = rows[~is_filled(combine_chunks(column).take(pa.array(rows)))]
+    return rows
 
 
 def _find_separator(text: bytes, start: int, line: int, file: str, issues: IssueCollector) -> str | None:

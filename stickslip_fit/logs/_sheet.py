@@ -198,7 +198,7 @@ def _with_decimals(table: SheetTable, issues: IssueCollector) -> SheetTable | No
 
 
 def _is_empty(cells: tuple[Any, ...]) -> bool:
-    return all(cell is None or cell == "" for cell in cells)
+    return all(cell is None or (isinstance(cell, str) and not cell.strip()) for cell in cells)
 
 
 def _pad(cells: tuple[Any, ...], width: int) -> tuple[Any, ...]:

@@ -79,8 +79,8 @@ class FileTable(ABC):
         return f"{'row' if self.header_line is None else 'line'} {line}"
 
     def select(self, rows: Int64Array) -> FileTable:
-        """Only these rows of the whole file, in ascending order."""
-        return replace(self, rows=rows)  # type: ignore[type-var]
+        """Only these of the rows, in ascending order."""
+        return replace(self, rows=self.index_in_file(rows))  # type: ignore[type-var]
 
     def index_in_file(self, rows: Int64Array) -> Int64Array:
         """Indices in the whole file."""

@@ -32,6 +32,7 @@ from stickslip_fit._io import write_atomically
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._summary import Column, Section, Summarized, Summary, Table, numbers, summarize, words
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.errors import check_type
 from stickslip_fit.logs._frame import check_frame
 from stickslip_fit.logs.schema import (
     CHECK_EVERY,
@@ -119,6 +120,8 @@ def write_log(log: Log | pd.DataFrame, path: str | Path, machine: Machine | None
     InputError
         If the file cannot be written, or is one that the log was read from.
     """
+    if not isinstance(log, pd.DataFrame):
+        check_type("log", log, Log)
     rows, files = (log, ()) if isinstance(log, pd.DataFrame) else (log.rows, log.files)
     known = machine if isinstance(log, pd.DataFrame) else log.machine
     write_atomically(path, format_csv(rows, known or load_machine()), files)

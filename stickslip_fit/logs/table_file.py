@@ -11,7 +11,7 @@ import hashlib
 import io
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -45,11 +45,26 @@ _UNIT = re.compile(rf"[\[(]?(?:{_ONE_UNIT})(?:[*/·. ](?:{_ONE_UNIT}))*[\])]?")
 
 @dataclass(frozen=True)
 class TableFile:
-    """A table that was read, a note on how, "" where nothing was guessed, and the hash of its file."""
+    """A table that was read.
+
+    Attributes
+    ----------
+    frame : DataFrame
+    note : str
+        On how it was read; "" where nothing was guessed.
+    sha256 : str
+        Of the file.
+    line_of : callable
+        The line of the file, from 1, of a row of `frame`, from 0.
+    lines_are : str
+        What `line_of` counts, as people find it in the file, such as ``line``.
+    """
 
     frame: pd.DataFrame
     note: str
     sha256: str
+    line_of: Callable[[int], int]
+    lines_are: str
 
 
 @dataclass(frozen=True)
@@ -85,10 +100,12 @@ def read_table_file(path: str | Path, sheet: str | None = None) -> TableFile:
     try:
         if kind == "Parquet file":
             frame, guessed = pd.read_parquet(io.BytesIO(raw)), list[str]()
+            line_of, lines_are = (lambda row: row + 1), "row"
         elif kind == "workbook":
-            frame, guessed = _read_workbook(raw, sheet)
+            frame, guessed, line_of, lines_are = _read_workbook(raw, sheet)
         else:
-            frame, guessed = _read_text(raw, name)
+            frame, guessed, line_of = _read_text(raw, name)
+            lines_are = "line"
     except InputError as error:
         raise InputError([replace(issue, file=issue.file or name) for issue in error.problems]) from None
     # pandas and pyarrow raise several kinds, all of them about the file.
@@ -97,10 +114,12 @@ def read_table_file(path: str | Path, sheet: str | None = None) -> TableFile:
         advice = "" if kind == "table" else "; save it as CSV"
         raise InputError(InputIssue(f"is no {kind} that can be read ({reason}){advice}", name)) from None
     note = f"{Path(name).name} was read as follows: {'; '.join(guessed)}." if guessed else ""
-    return TableFile(frame, note, hashlib.sha256(raw).hexdigest())
+    return TableFile(frame, note, hashlib.sha256(raw).hexdigest(), line_of, lines_are)
 
 
-def _read_workbook(raw: bytes, sheet: str | None) -> tuple[pd.DataFrame, list[str]]:
+def _read_workbook(
+    raw: bytes, sheet: str | None
+) -> tuple[pd.DataFrame, list[str], Callable[[int], int], str]:
     with pd.ExcelFile(io.BytesIO(raw)) as workbook:
         names = [str(name) for name in workbook.sheet_names]
         if sheet is not None and sheet not in names:
@@ -108,7 +127,8 @@ def _read_workbook(raw: bytes, sheet: str | None) -> tuple[pd.DataFrame, list[st
         chosen = sheet or names[0]
         cells = pd.read_excel(workbook, sheet_name=chosen, header=None, dtype=object)
     others = [name for name in names if name != chosen]
-    cells = cells.dropna(how="all").reset_index(drop=True)
+    cells = cells.dropna(how="all")
+    numbers, cells = cells.index.to_numpy() + 1, cells.reset_index(drop=True)
     shown = cells.head(SAMPLE).map(lambda cell: "" if pd.isna(cell) else str(cell))
     try:
         if cells.empty:
@@ -122,14 +142,17 @@ def _read_workbook(raw: bytes, sheet: str | None) -> tuple[pd.DataFrame, list[st
     body = cells.iloc[layout.first :].reset_index(drop=True)
     body = body.set_axis(layout.names, axis=1).infer_objects()
     read = [f"sheet {chosen!r}, and not {_quote(others)}"] if others and sheet is None else []
-    return _without_unnamed(body), [*read, *layout.left_out]
+    return (
+        *(_without_unnamed(body), [*read, *layout.left_out]),
+        *(lambda row: int(numbers[layout.first + row]), f"sheet {chosen!r}, row"),
+    )
 
 
 def _quote(names: Sequence[str]) -> str:
     return join_words([repr(name) for name in names])
 
 
-def _read_text(raw: bytes, file: str) -> tuple[pd.DataFrame, list[str]]:
+def _read_text(raw: bytes, file: str) -> tuple[pd.DataFrame, list[str], Callable[[int], int]]:
     if foreign := find_foreign(raw):
         raise InputError(InputIssue(foreign, file))
     issues = IssueCollector()
@@ -152,16 +175,18 @@ def _read_text(raw: bytes, file: str) -> tuple[pd.DataFrame, list[str]]:
     begin = sample[layout.first][0] if layout.first < len(sample) else len(lines)
     records, cells = _read_cells(lines[begin:], separator, len(layout.names))
     columns = [column.combine_chunks() for column in cells.columns]
+
+    def line_of(row: int) -> int:
+        return lines[begin + records.scan.lines[row] - 1][0]
+
     decimals = find_decimals({} if separator == "," else dict(zip(layout.names, columns, strict=True)))
-    decimals.check(
-        file, lambda row: lines[begin + records.scan.lines[row] - 1][0], lambda line, _: f"line {line}"
-    )
+    decimals.check(file, line_of, lambda line, _: f"line {line}")
     read = [read_column(cells, decimal_comma=bool(decimals.comma)) for cells in columns]
     if thousands := [name for name, (_, marked) in zip(layout.names, read, strict=True) if marked]:
         guessed.append(f"numbers of {join_words(thousands)} have thousands separators")
     guessed += ["decimals have commas"] if decimals.comma else []
     frame = pd.concat([cells for cells, _ in read], axis=1).set_axis(layout.names, axis=1)
-    return _without_unnamed(frame), guessed
+    return _without_unnamed(frame), guessed, line_of
 
 
 def _without_unnamed(frame: pd.DataFrame) -> pd.DataFrame:

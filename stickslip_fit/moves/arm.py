@@ -8,17 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from math import isfinite, nan
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._format import format_value
+from stickslip_fit._format import format_value, join_words
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.causes.parameters import FIRST_TRAVERSE, REQUIRED_HISTORY
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, check_type, suggest
 from stickslip_fit.estimation import Result
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs.schema import CONDITION_SPELLINGS, COVARIATE_PREFIX
@@ -196,8 +197,10 @@ def calibrated_arm(
     Raises
     ------
     InputError
-        If the result has no such session, or its machine no published geometry.
+        If the result has no such session, its machine no published geometry, or `conditions` has another name
+        than those of a log's conditions and of columns on which the law depends, or a time or steps below 0.
     """
+    check_type("result", result, Result)
     result.machine.require_geometry("moves and positions of the tip", PREDICT_DRIVES)
     sessions = list(dict.fromkeys(name for fit in result.joints.values() for name in fit.groups["session"]))
     latest = {fit.groups["session"].iloc[-1] for fit in result.joints.values()}
@@ -205,11 +208,29 @@ def calibrated_arm(
         session = next(name for name in reversed(sessions) if name in latest)
     if session not in sessions:
         raise InputError(f"session {session!r} is not in this result; it has {', '.join(map(str, sessions))}")
+    _check_given(conditions or {}, result)
     return CalibratedArm(result, session, theta, psi, conditions or {})
+
+
+def _check_given(conditions: Mapping[str, Any], result: Result) -> None:
+    """Refuse conditions that no drive can have, all at once."""
+    known = dict.fromkeys([*(column for column, _ in CONDITION_KEYS.values()), *_result_columns(result)])
+    issues = []
+    for name, value in conditions.items():
+        if name not in known:
+            message = f"is no condition; give {join_words(list(known), 'or')}{suggest(name, known)}"
+        elif name in FROM_ZERO and not (isinstance(value, int | float | np.number) and value >= 0):
+            message = f"{FROM_ZERO[name]}; give a number of 0 or more"
+        else:
+            continue
+        issues.append(InputIssue(message, argument="conditions", value=f"{name}={value}"))
+    if issues:
+        raise InputError(issues)
 
 
 def as_calibrated_arm(arm: CalibratedArm | Result) -> CalibratedArm:
     """An arm as it is; a Result as the arm of its latest session, the base at theta = psi = 0."""
+    check_type("arm", arm, CalibratedArm, Result)
     return calibrated_arm(arm) if isinstance(arm, Result) else arm
 
 
@@ -225,6 +246,10 @@ CONDITION_MEANINGS = {
     "steps_before": REQUIRED_HISTORY["steps_before"],
 }
 OWN_COLUMNS = ("session", *FIRST_TRAVERSE)  # follow from the drives and the session
+FROM_ZERO = {
+    "session_seconds": "a session's time is counted from its first traverse on",
+    "steps_before": "steps are counted from the joint's first one on",
+}
 REQUIRED_CONDITIONS = (*REQUIRED_HISTORY, "step_period")  # given, or the plan's
 
 
@@ -263,10 +288,13 @@ def parse_conditions(texts: Iterable[str], result: Result, option: str) -> dict[
             message = f"this law depends on {column_names}; leave {name or text} out"
             raise InputError(InputIssue(message, column=option, value=text))
         try:
-            conditions[column] = to_si(float(value), unit)
+            number = float(value)
         except ValueError:
-            message = f"give a number, e.g. {name}=20"
-            raise InputError(InputIssue(message, column=option, value=text)) from None
+            number = nan
+        if not isfinite(number) or (number < 0 and column in FROM_ZERO):
+            fault = f"{FROM_ZERO[column]}; give 0 or more" if isfinite(number) else "give a number"
+            raise InputError(InputIssue(f"{fault}, e.g. {name}=20", column=option, value=text))
+        conditions[column] = to_si(number, unit)
     return conditions
 
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import ExtendedLaw
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, check_count
 from stickslip_fit.estimation import Result
 from stickslip_fit.laws import Rows, StepLaw, float_column
 from stickslip_fit.machine import forward, jacobian
@@ -102,11 +102,16 @@ def _check_no_stall(law: StepLaw, gamma: Array) -> None:
 
 @dataclass(frozen=True)
 class DriveCommand:
-    """So many steps of one joint in one direction."""
+    """So many steps of one joint in one direction; InputError for what no controller can do."""
 
     joint: int
     direction: str
     steps: int
+
+    def __post_init__(self) -> None:
+        if self.direction not in ("+", "-"):
+            raise InputError(f"the direction of a drive must be '+' or '-', not {self.direction!r}")
+        check_count("steps", self.steps, least=0)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from stickslip_fit._format import join_words, position_unit
 from stickslip_fit.bayes import Posterior
 from stickslip_fit.causes import ExtendedLaw
 from stickslip_fit.causes.parameters import REQUIRED_HISTORY
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, check_type
 from stickslip_fit.estimation import Result
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs import drives
@@ -60,6 +60,7 @@ def read_drives(
     InputError
         With every fault: file, line, column, value and what to do.
     """
+    check_type("law", law, Result, Posterior)
     fitted: dict[tuple[int, str], list[str]] = {}
     for joint, fit in law.joints.items():
         for session, way in zip(fit.groups["session"], fit.groups["direction"], strict=True):

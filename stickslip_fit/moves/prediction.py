@@ -9,7 +9,7 @@ import pandas as pd
 
 from stickslip_fit._typing import Int64Array
 from stickslip_fit.bayes import Posterior
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, check_type
 from stickslip_fit.estimation import Result
 from stickslip_fit.estimation.result import convert_predictions
 from stickslip_fit.laws import observed_count
@@ -59,6 +59,8 @@ def predict(
         For a joint, direction or session that was not fitted, one whose parameters are not all identifiable,
         or a traverse in which the joint would stall.
     """
+    check_type("fitted", fitted, Result, Posterior)
+    check_type("plan", plan, Plan, pd.DataFrame)
     if isinstance(plan, pd.DataFrame):
         return _predict_drives(fitted, plan, session, conditions or {})
     if isinstance(fitted, Result):

@@ -23,7 +23,7 @@ from stickslip_fit.diagnosis import Diagnosis, diagnose
 from stickslip_fit.diagnosis._methods import describe_methods, list_references
 from stickslip_fit.diagnosis._unknown_summary import name_findings
 from stickslip_fit.diagnosis.finding import Finding
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, check_type
 from stickslip_fit.estimation import Result, fit_closed_form, fit_least_squares, held_out_errors
 from stickslip_fit.estimation._groups import usable_rows
 from stickslip_fit.estimation.closed_form import solve_calibration
@@ -142,6 +142,7 @@ def report(
     """
     if isinstance(log, Diagnosis):
         return _report_diagnosis(log, command)
+    check_type("log", log, Log, Diagnosis)
     if unknown := set(sections) - set(OPTIONAL_SECTIONS):
         raise InputError(
             f"no section {', '.join(sorted(unknown))}; sections are {', '.join(OPTIONAL_SECTIONS)}"

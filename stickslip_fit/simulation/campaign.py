@@ -19,7 +19,7 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, Int64Array, IntArray
 from stickslip_fit.causes import ExtendedLaw
-from stickslip_fit.errors import InputError, InputIssue, check_count
+from stickslip_fit.errors import InputError, check_count, check_type
 from stickslip_fit.laws import Rows, StepLaw, expected_steps, float_column, observed_count
 from stickslip_fit.logs import Log, add_history
 from stickslip_fit.logs.history import DEPARTURES, FURTHER_HISTORY, follow_departures
@@ -244,7 +244,9 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
         traverse, parameters are given for a session that is not planned, a schedule lacks its column, a
         session is not over when the next one begins, or the seed is negative.
     """
-    _check_types(plan=(plan, Plan), truth=(truth, LawValues), machine=(machine, Machine))
+    check_type("plan", plan, Plan)
+    check_type("truth", truth, LawValues)
+    check_type("machine", machine, Machine)
     if plan.noise is None:
         raise InputError("the plan has no [noise]; add one with repeatability_pct before simulating it")
     _check_sessions(plan, truth)
@@ -292,14 +294,6 @@ def simulate(plan: Plan, truth: LawValues, machine: Machine, seed: int | None = 
     own = [each.column for each in truth.columns if each.column not in LOG_COLUMNS]
     made = add_history(driven[[*LOG_COLUMNS, *own]])
     return Log(made, (), counts.hexdigest(), machine, rows_as_read=made.copy())
-
-
-def _check_types(**arguments: tuple[object, type]) -> None:
-    """Refuse arguments in a wrong place, such as a log in place of a plan."""
-    for name, (given, kind) in arguments.items():
-        if not isinstance(given, kind):
-            message = f"simulate takes a {kind.__name__} here, and this is a {type(given).__name__}"
-            raise InputError(InputIssue(message, argument=name))
 
 
 def _check_sessions(plan: Plan, truth: LawValues) -> None:

@@ -19,7 +19,7 @@ from stickslip_fit._io import find_source, make_folder, write_atomically
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array
-from stickslip_fit.errors import InputError
+from stickslip_fit.errors import InputError, check_type
 from stickslip_fit.estimation.result import AxesArray, Provenance, build_provenance
 from stickslip_fit.laws import Laws, is_published
 from stickslip_fit.logs import Log
@@ -213,6 +213,7 @@ def compare_strategies(
         If two strategies have one name, no traverse of the log is usable, a strategy chooses what is not
         offered, or nothing shows how well a traverse repeats.
     """
+    check_type("log", log, Log)
     log.machine.require_geometry("a comparison of calibration strategies")
     strategies = default_strategies() if strategies is None else strategies
     names = [strategy.name for strategy in strategies]

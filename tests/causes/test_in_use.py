@@ -21,6 +21,7 @@ from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
 from stickslip_fit.moves import DriveCommand, calibrated_arm, dead_reckon, plan_move
+from stickslip_fit.moves.arm import parse_conditions
 from stickslip_fit.moves.prediction import predict
 from stickslip_fit.simulation import LawValues, read_law_values, simulate, step_through
 
@@ -153,6 +154,24 @@ def test_following_the_steps_of_a_move_leads_to_its_target(result):
 def test_a_law_that_knows_the_clock_asks_for_the_time(result):
     with pytest.raises(InputError, match="time since the session's first traverse"):
         plan_move(calibrated_arm(result), START, TARGET)
+
+
+def test_conditions_that_no_drive_can_have_are_refused(result):
+    given = {"session_seconds": -5, "temperatur": 293.0, "temperature": 293.0}
+    with pytest.raises(InputError) as refused:
+        calibrated_arm(result, conditions=given)
+    time, name = map(str, refused.value.problems)
+    assert time.startswith("conditions, value 'session_seconds=-5': ")
+    assert time.endswith("give a number of 0 or more")
+    assert name.startswith("conditions, value 'temperatur=293.0': is no condition; give session_seconds, ")
+    assert name.endswith("; did you mean temperature?")
+    for text, told in (
+        ("session_min=-30", "give 0 or more, e.g. session_min"),
+        ("session_s=nan", "number"),
+    ):
+        with pytest.raises(InputError, match=f"--condition, value '{text}': .*{told}"):
+            parse_conditions([text], result, "--condition")
+    assert parse_conditions(["session_min=0"], result, "--condition") == {"session_seconds": 0.0}
 
 
 def test_a_plan_is_predicted_with_the_clock_that_it_will_have(plan, result, arm_log):

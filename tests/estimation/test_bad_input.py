@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import stickslip_fit as ssf
 from stickslip_fit.bayes import fit_bayes
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import fit_closed_form, fit_least_squares
@@ -199,3 +200,45 @@ class TestACountWildlyOff:
             subset = result.si.parameters.query(f"joint == {joint} and direction == '+'")
             off = (subset["estimate"] - subset["name"].map(TRUTH)) / subset["standard_error"]
             assert np.abs(off).max() < 4.0
+
+
+OF_A_LOG = (
+    "fit",
+    "calibrate",
+    "diagnose",
+    "analyze_variance",
+    "compare_strategies",
+    "compare_laws",
+    "report",
+)
+
+
+@pytest.mark.parametrize("verb", OF_A_LOG)
+def test_what_is_no_log_is_refused_with_the_call_that_reads_one(verb):
+    for given, told in (
+        ("my-log.csv", r"a str; read it with ssf.read_log\('my-log.csv'\)$"),
+        (pd.DataFrame({"steps": [1]}), r"a DataFrame; .*ssf.read_log\(.*ssf.diagnose_table\("),
+        (None, "a NoneType; "),
+    ):
+        with pytest.raises(InputError, match="^log: a Log.* is wanted, not " + told):
+            getattr(ssf, verb)(given)
+
+
+def test_what_is_no_law_plan_or_diagnosis_is_refused_with_the_call_that_makes_one(campaign, read_table):
+    log = read_table(campaign())
+    law = ssf.calibrate(log)
+    for call, told in (
+        (lambda: ssf.predict(law, log), r"^plan: .* not a Log; .*ssf.read_plan\(path, machine\)"),
+        (lambda: ssf.predict(law, "plan.toml"), r"^plan: .*ssf.read_plan\('plan.toml', machine\)"),
+        (lambda: ssf.predict(log, None), r"^fitted: .* not a Log; get one with ssf.fit\(log\)"),
+        (lambda: ssf.next_experiment(log), r"^diagnosis: .* not a Log; get one with ssf.diagnose\(log\)$"),
+        (lambda: ssf.calibrated_arm("law.json"), r"^result: .*with ssf.load_result\('law.json'\)$"),
+        (lambda: ssf.plan_move(log, (0, 0, 0), (0, 0, 0)), r"^arm: .* not a Log; get one with ssf.fit\("),
+        (lambda: ssf.detect_changes(log, "new.csv"), r"^new: .*ssf.read_log\('new.csv'\)$"),
+        (lambda: ssf.held_out_errors(log, "law.json"), r"^law: .*ssf.load_result\('law.json'\)$"),
+        (lambda: ssf.fit(log, causes_from="law.json"), r"^causes_from: .*ssf.load_result\('law.json'\)$"),
+        (lambda: ssf.read_drives("drives.csv", log), r"^law: .* not a Log; get one with ssf.fit\("),
+        (lambda: ssf.write_log("my-log.csv", "copy.csv"), "^log: a Log is wanted, not a str; "),
+    ):
+        with pytest.raises(InputError, match=told):
+            call()

@@ -25,6 +25,32 @@ def test_empty_lines_are_skipped_and_counted(sheet, read, problems):
     assert (told.line, told.column, told.value) == (7, "steps", "x")
 
 
+def test_what_a_spreadsheet_saves_around_a_table_is_left_out_with_a_note(sheet, read, problems):
+    expected = read(sheet)
+    assert not expected.notes
+
+    def save() -> str:
+        head, *lines = (line + ",," for line in sheet.text().splitlines())
+        empty = "," * head.count(",")
+        return "\n".join([head, empty, *lines[:3], f" {empty}", *lines[3:], empty, empty])
+
+    log = read(save())
+    pd.testing.assert_frame_equal(log.rows, expected.rows)
+    (note,) = log.notes
+    assert note.endswith("day.csv: 4 empty rows and 2 empty unnamed columns left out")
+    sheet.set(4, "steps", "x")
+    (told,) = problems(save())
+    assert (told.line, told.column, told.value) == (8, "steps", "x")
+
+
+def test_an_unnamed_column_with_a_cell_and_rows_without_any_are_told(sheet, problems):
+    sheet.add("", ["", "", "", "cell", "", ""])
+    (told,) = problems(sheet)
+    assert (told.line, told.column) == (1, "number 21")
+    (told,) = problems(",".join(sheet.header) + "\n" + 2 * ("," * 20 + "\n"))
+    assert "no rows" in told.message
+
+
 def test_quoted_line_ends_count_as_lines(sheet, problems):
     sheet.set(0, "note", '"one\ntwo\r\nthree\rfour, ""five"""')
     sheet.set(2, "note", '"six\n"')

@@ -144,3 +144,11 @@ def test_a_damaged_workbook_is_one_message(sheet, save, tmp_path):
     path.write_bytes(path.read_bytes()[:-300])
     (told,) = refusals(path)
     assert "is no Excel workbook that can be read" in told
+
+
+def test_rows_and_unnamed_columns_of_spaces_alone_do_not_matter(sheet, read, save):
+    expected = read(sheet).rows
+    sheet.rows.insert(2, [" "] * len(sheet.header))
+    sheet.add(" ", [""] * len(sheet.rows))
+    path = save(sheet, cell=lambda column, text: text or None)
+    pd.testing.assert_frame_equal(read_log(path).rows, expected)

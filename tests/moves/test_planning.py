@@ -38,6 +38,16 @@ def test_the_latest_session_is_taken_unless_another_is_named(arm):
         calibrated_arm(arm.result, "1999")
 
 
+def test_a_drive_that_no_controller_can_make_is_refused():
+    for way, steps, told in (
+        ("x", 500, "'x'"),
+        ("+", -500, "steps .* not -500"),
+        ("-", 0.5, "steps .* not 0.5"),
+    ):
+        with pytest.raises(InputError, match=told):
+            DriveCommand(3, way, steps)
+
+
 @pytest.mark.parametrize(
     ("q", "joint", "way", "steps"),
     [((0.0, 0.3, 0.004), 2, "-", 900), ((0.2, -1.5, 0.0), 3, "+", 800), ((1.0, -1.5, 0.006), 1, "+", 700)],

@@ -22,9 +22,9 @@ def test_without_noise_counts_are_the_laws_seen_at_the_next_check(rows_of):
 
 def test_arguments_in_a_wrong_place_are_told_by_their_names(plan_of, law_of, machine):
     log = simulate(plan_of(), law_of(), machine)
-    with pytest.raises(InputError, match=r"^plan: simulate takes a Plan here, and this is a Log$"):
+    with pytest.raises(InputError, match=r"^plan: a Plan is wanted, not a Log; "):
         simulate(log, law_of(), machine)
-    with pytest.raises(InputError, match=r"^truth: simulate takes a LawValues here, and this is a Machine$"):
+    with pytest.raises(InputError, match=r"^truth: a LawValues is wanted, not a Machine; "):
         simulate(plan_of(), machine, law_of())
 
 

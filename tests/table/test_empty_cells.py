@@ -75,7 +75,7 @@ def test_sessions_keep_their_names_beside_an_empty_cell(table):
 
 def test_later_messages_count_rows_as_the_table_does(table):
     bad = put(table, "y", np.nan, "over")
-    with pytest.raises(ssf.InputError, match="column y, value 'over': row 7 is no finite number"):
+    with pytest.raises(ssf.InputError, match="row 7, column y, value 'over': is no finite number"):
         diagnose(bad)
     with pytest.raises(ssf.InputError, match="no number in row 9 of the table"):
         diagnose(
@@ -135,7 +135,7 @@ def test_an_overflow_of_an_instrument_is_an_empty_cell(table):
 
 
 def test_a_value_beside_which_all_others_vanish_is_refused(table):
-    with pytest.raises(ssf.InputError, match=r"column y, value '1e\+30': row 4 is more than 1e\+15 times"):
+    with pytest.raises(ssf.InputError, match=r"row 4, column y, value '1e\+30': is more than 1e\+15 times"):
         diagnose(put(table, "y", 1e30).astype(float), time="t")
 
 

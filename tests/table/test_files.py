@@ -1,5 +1,8 @@
 """Tables in files as spreadsheets, loggers and instruments write them."""
 
+import re
+from functools import partial
+
 import pandas as pd
 import pytest
 
@@ -157,5 +160,30 @@ def test_beside_decimal_commas_the_cell_that_is_no_number_is_named_alone(tmp_pat
     with pytest.raises(InputError) as error:
         ssf.fit_table(path, "y ~ a + b*x")
     (problem,) = error.value.problems
-    assert "row 8 is no finite number" in str(problem)
-    assert problem.value == "???"
+    assert str(problem) == (
+        f"{path}, line 9, column y, value '???': is no finite number; correct it, or leave out its row"
+    )
+
+
+@pytest.mark.parametrize("kind", ["csv", "xlsx", "parquet"])
+def test_a_faulty_cell_of_a_file_is_told_with_its_place_there(tmp_path, kind):
+    path = tmp_path / f"bench.{kind}"
+    frame = pd.DataFrame(
+        {"x": [float(k) for k in range(12)], "y": [*map(str, range(7)), "???", *map(str, range(8, 12))]}
+    )
+    if kind == "csv":
+        path.write_text("# of March\n\n" + frame.to_csv(index=False).replace("3.0,3", ",\n3.0,3"))
+        place = "line 12"
+    elif kind == "xlsx":
+        frame.to_excel(path, index=False, startrow=2, sheet_name="Log")
+        place = "sheet 'Log', row 11"
+    else:
+        frame.to_parquet(path)
+        place = "row 8"
+    for call in (ssf.fit_table, partial(ssf.diagnose_table, gain=False)):
+        with pytest.raises(InputError) as error:
+            call(path, "y ~ a + b*x")
+        (problem,) = error.value.problems
+        assert str(problem).startswith(f"{path}, {place}, column y, value '???': is no finite number; ")
+    with pytest.raises(InputError, match=f"^{re.escape(str(path))}, column when: is named as the session, "):
+        ssf.fit_table(path, "x ~ a", session="when")

@@ -34,9 +34,14 @@ def test_cells_that_are_no_numbers_are_named_with_their_rows(rows):
     bad = rows.assign(vel=rows["vel"].astype(object), q=np.where(np.arange(60) < 5, np.inf, rows["q"]))
     bad.loc[3, "vel"] = "fast"
     said = faults(bad, position="q")
-    assert "column vel, value 'fast': row 4 is no finite number; correct it, or leave out its row" in said
+    assert "row 4, column vel, value 'fast': is no finite number; correct it, or leave out its row" in said
     assert sum("column q" in one for one in said) == 4  # three cells, and how many more
     assert "2 more cells" in said[-1]
+
+
+def test_a_column_of_texts_in_the_place_of_numbers_is_told_once(rows):
+    (said,) = faults(rows.assign(vel="fast"))
+    assert said.startswith("column vel, value 'fast': is a column of texts, and used as one of numbers; ")
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,7 @@ def test_the_scale_of_sigma_is_told_and_sigma_is_no_candidate():
 def test_what_is_no_uncertainty_is_refused(cell, why):
     frame = decay(1).astype({"u": object})
     frame.loc[3, "u"] = cell
-    with pytest.raises(InputError, match=rf"row 4 .*{why}"):
+    with pytest.raises(InputError, match=rf"row 4, .*{why}"):
         ssf.diagnose_table(frame, DECAY, sigma="u")
 
 
