@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import compress
+from itertools import batched, compress
 
 import numpy as np
 from scipy.special import logsumexp
@@ -59,6 +59,7 @@ from stickslip_fit.diagnosis.refits import (
 # unknown structure; the number of causes that are tried.
 PAIR_MIN_LOG_BAYES_FACTOR, PAIR_LOG_PENALTY, MAX_PAIR_TRIALS = 3.0, 3.0, 3
 MAX_LIKELY_SHAPES = 6  # of unknown structure, beside which causes are looked for
+AT_ONCE = 50  # more structures beside one of these
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,10 +89,12 @@ def first_of_pair(
 ) -> Search[Combination]:
     """Two or three causes that together are likelier than unknown structure, if there are any.
 
-    The sum of two effects is in the span of neither, so that alone each loses to unknown structure.
+    The sum of two effects is in the span of neither, so that alone each loses to unknown structure; with the
+    other one in the law it does not.
     """
     evidence = misfit.log_evidence_by_cause
-    best, highest = None, evidence[UNKNOWN] + PAIR_LOG_PENALTY
+    highest = evidence[UNKNOWN] + PAIR_LOG_PENALTY
+    found: list[tuple[float, list[SelectedCause]]] = []
     pairs: list[tuple[float, list[SelectedCause]]] = []
     causes = misfit.rank_causes(PAIR_MIN_LOG_BAYES_FACTOR)[:MAX_PAIR_TRIALS]
     lacking = [np.inf]
@@ -113,11 +116,16 @@ def first_of_pair(
         lacking.append(max(highest - pair, unknown - left.log_evidence_by_cause[second]))
         if left.log_evidence_by_cause[second] > unknown:
             if pair > highest:
-                best, highest = Combination(first, (second,)), pair
+                found.append((pair, [first, make_selected(left, form_cause_set(left, second))]))
+                lacking.pop()
         elif left.log_evidence_by_cause[second] > PAIR_MIN_LOG_BAYES_FACTOR:
             pairs.append((pair, [first, make_selected(left, form_cause_set(left, second))]))
-    if best is not None or not pairs:
-        return Search(best, min(lacking))
+    for pair, both in sorted(found, key=lambda scored: -scored[0]):
+        lacking.append(max(highest - pair, _lacks_beside(problem, selected, *both)))
+        if lacking[-1] < 0:
+            return Search(Combination(both[0], (both[1].cause,)), min(lacking))
+    if not pairs:
+        return Search(None, min(lacking))
     pair, both = max(pairs, key=lambda scored: scored[0])
     extension = try_extension(problem, [*selected, *both])
     if extension is None:
@@ -130,6 +138,22 @@ def first_of_pair(
     if lacking[-1] < 0:
         return Search(Combination(both[0], (both[1].cause, third)))
     return Search(None, min(lacking))
+
+
+def _lacks_beside(
+    problem: DiagnosisProblem, selected: Sequence[SelectedCause], cause: SelectedCause, other: SelectedCause
+) -> float:
+    """Nats by which unknown structure is likelier than a cause with the other one in the law.
+
+    Negative if it is not, by as much as makes up a cause set. Where two effects have nothing in common, the
+    other one adds as much to unknown structure.
+    """
+    extension = try_extension(problem, [*selected, other])
+    if extension is None:
+        return -np.inf
+    left, _, unknown = _next_cause(extension, [*selected, other])
+    own = left.log_evidence_by_cause.get(cause.cause, -np.inf)
+    return unknown - own - CAUSE_SET_LOG_BAYES_FACTOR
 
 
 def find_in_part(
@@ -167,7 +191,7 @@ def find_beside_unknown(
 
     Structure without a name takes up a cause that acts like it in part, and both would have one size; and
     where it is much larger than the noise, nothing shows beside it until it is in the law. The margin is as
-    of `find_exchange`.
+    of `find_exchange`. The cause has to be likelier there than more structure without a name.
     """
     misfit, df = unknown.test, searched.df
     shapes = [
@@ -187,6 +211,8 @@ def find_beside_unknown(
     best = max(causes, key=together.__getitem__)
     to_beat = together[UNKNOWN] + float(np.log(len(together) / level))
     behind = to_beat - together[best]
+    if behind <= 0:
+        behind = max(behind, _more_unknown(misfit, df, tests[int(np.argmax(each[best]))]) - max(each[best]))
     if behind <= 0:
         left, test = _test_beside_unknown(misfit, known, df, *tests[int(np.argmax(each[best]))])
         if not assess_support(searched, left, best).too_narrow:
@@ -229,6 +255,23 @@ def _weigh_beside_unknown(
         together = average_by_cause(names, alone + weigh_hypotheses(shown, names), evidence)
         tests.append(({**together, UNKNOWN: alone}, whiten))
     return tests
+
+
+def _more_unknown(misfit: Misfit, df: int, beside: tuple[dict[str, float], Whitening]) -> float:
+    """Evidence of a structure, as `_weigh_beside_unknown` has it, and of another one beside it, together."""
+    evidence, whiten = beside
+    others = [
+        one for one in misfit.hypotheses if isinstance(one, Hypothesis) and classify_cause(one) == UNKNOWN
+    ]
+    residual, total = whiten(misfit.residual)[:, None], [-np.inf]
+    weight = weigh_hypotheses(others, [UNKNOWN] * len(others)).tolist()
+    for part in batched(zip(others, weight, strict=True), AT_ONCE):  # whitened, directions take much memory
+        made = zip(_whiten_shapes([one for one, _ in part], whiten), part, strict=True)
+        seen = [(one, own_weight) for one, (_, own_weight) in made if one is not None]
+        if seen:
+            own = batch_hypotheses([one for one, _ in seen], df).log_evidence(residual)[:, 0]
+            total.append(float(logsumexp(own + [own_weight for _, own_weight in seen])))
+    return evidence[UNKNOWN] + float(logsumexp(total))
 
 
 def _whiten_shapes(shapes: Sequence[Hypothesis], whiten: Whitening) -> list[Hypothesis | None]:

@@ -16,10 +16,12 @@ from stickslip_fit.causes.proposed import NestedTerm
 from stickslip_fit.diagnosis import Diagnosis, diagnose
 from stickslip_fit.diagnosis.finding import Gain
 from stickslip_fit.diagnosis.fold_selection import prepare_looks
+from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.withdrawal import withdraw_causes
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
 from tests.hidden import outside
+from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
 
 MACHINE = """
@@ -165,3 +167,17 @@ def test_rates_beside_profiles(tmp_path: Path) -> None:
     ]
     assert sum(causes == ("unknown",) for causes in found[:20]) >= 18
     assert sum(causes == ("supply-voltage", "unknown") for causes in found[20:]) >= 16
+
+
+@pytest.mark.parametrize(
+    ("other", "strength", "design", "seed", "named"),
+    [("drift", 17.0, "many", 4, {"drift"}), ("unknown:session", 35.0, "thesis", 3, set())],
+)
+def test_structure_beside_another_effect_is_not_the_cause_nearest_to_it(
+    other: str, strength: float, design: str, seed: int, named: set[str]
+) -> None:
+    """A bump in q2 has something of `recoil-axis`, likelier than nothing, but not than a bump."""
+    forms = {"unknown:angle": "bump in q2, joint 3"}
+    hidden = hide(design, (other, "unknown:angle"), (strength, 25.0), seed=seed, forms=forms)
+    found = {one.cause for one in diagnose(read_hidden(hidden), gain=False).findings}
+    assert found == named | {UNKNOWN}
