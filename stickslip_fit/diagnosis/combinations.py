@@ -495,6 +495,8 @@ def revise_causes(
             if one.version is None:
                 continue
         before = causes[place]
+        if one.cause in before.cause_set.by_refit:  # of two that took each other's place neither is clear
+            one = replace(one, cause_set=one.cause_set.with_rivals([before.cause]))
         revised[place] = replace(one, p_value=before.p_value, naming=before.naming or before.misfit)
     return revised
 

@@ -343,7 +343,9 @@ class _ForwardSelection:
         cause_set = chosen[-1].cause_set.with_rivals(exchange.rivals)
         chosen = [*chosen[:-1], replace(chosen[-1], cause_set=cause_set)]
         if exchange.found is not None:
-            trial = [*chosen[:-1], exchange.found.first]
+            first = exchange.found.first
+            first = replace(first, cause_set=first.cause_set.with_rivals([chosen[-1].cause]))
+            trial = [*chosen[:-1], first]
             other = refits.extension_with(trial) or try_extension(problem, trial)
             if other is not None and (other_test := self.assess(other, trial)).p_value < self.level:
                 self.combinations.append((trial[-1].cause, *exchange.found.others))
