@@ -113,15 +113,16 @@ def first_of_pair(
         pair = evidence[cause] + left.log_evidence_by_cause.get(second, -np.inf)
         if second == UNKNOWN:
             continue
-        lacking.append(max(highest - pair, unknown - left.log_evidence_by_cause[second]))
-        if left.log_evidence_by_cause[second] > unknown:
-            if pair > highest:
-                found.append((pair, [first, make_selected(left, form_cause_set(left, second))]))
-                lacking.pop()
-        elif left.log_evidence_by_cause[second] > PAIR_MIN_LOG_BAYES_FACTOR:
-            pairs.append((pair, [first, make_selected(left, form_cause_set(left, second))]))
-    for pair, both in sorted(found, key=lambda scored: -scored[0]):
-        lacking.append(max(highest - pair, _lacks_beside(problem, selected, *both)))
+        both, ahead = [first, make_selected(left, form_cause_set(left, second))], pair - highest
+        beside_first = left.log_evidence_by_cause[second] - unknown
+        if min(ahead, beside_first) > 0:
+            found.append((pair, both))
+            continue
+        lacking.append(-min(ahead, beside_first))
+        if beside_first <= 0 and left.log_evidence_by_cause[second] > PAIR_MIN_LOG_BAYES_FACTOR:
+            pairs.append((pair, both))
+    for _, both in sorted(found, key=lambda scored: -scored[0]):
+        lacking.append(_lacks_beside(problem, selected, *both))
         if lacking[-1] < 0:
             return Search(Combination(both[0], (both[1].cause,)), min(lacking))
     if not pairs:

@@ -8,7 +8,7 @@ import pytest
 from stickslip_fit.causes import library
 from stickslip_fit.diagnosis import diagnose, pipeline
 from stickslip_fit.diagnosis.cause_set import form_cause_set
-from stickslip_fit.diagnosis.combinations import find_needless
+from stickslip_fit.diagnosis.combinations import find_needless, revise_causes
 from stickslip_fit.diagnosis.extension import compute_evidence, extend_problem, make_selected
 from stickslip_fit.diagnosis.noise import Outliers
 from stickslip_fit.diagnosis.problem import problem_from_log
@@ -58,6 +58,20 @@ def test_a_cause_without_which_the_law_is_as_likely_is_needless():
     assert [one.cause for one in others] == ["drift"]
     assert len(fit.values) == 1
     assert len(find_needless(problem, selected, whole, most=1e6)) == len(selected)
+
+
+@pytest.mark.parametrize("took_its_place", [False, True])
+def test_of_two_causes_that_took_each_other_s_place_neither_is_told_from_the_other(took_its_place):
+    """A side load that took the place of a drift, which is likelier when both are compared again."""
+    causes = [cause for cause in library() if cause.name in ("drift", "side-load")]
+    problem, _ = problem_from_log(read_hidden(hide("thesis", ("drift",), 14, seed=3)), causes)
+    misfit = compute_evidence(problem.linearize(), problem)
+    one = make_selected(misfit, form_cause_set(misfit, "side-load"))
+    if took_its_place:
+        one = replace(one, cause_set=one.cause_set.with_rivals(["drift"]))
+    (revised,) = revise_causes(problem, [one], np.random.default_rng(0))
+    assert revised.cause == "drift"
+    assert revised.cause_set.rivals == (("side-load",) if took_its_place else ())
 
 
 def test_start_values_are_those_of_a_refit_of_the_same_form():
