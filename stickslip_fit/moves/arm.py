@@ -6,10 +6,10 @@ conditions such as temperature, spelled as the columns of a log are.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import isfinite, nan
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,9 @@ from stickslip_fit.logs.schema import CONDITION_SPELLINGS, COVARIATE_PREFIX
 from stickslip_fit.machine import Machine, mean_load
 from stickslip_fit.machine.machine import PREDICT_DRIVES
 from stickslip_fit.units import JOINTS, PRISMATIC, to_si
+
+if TYPE_CHECKING:
+    from stickslip_fit.bayes import Posterior
 
 
 @dataclass(frozen=True)
@@ -208,17 +211,33 @@ def calibrated_arm(
         session = next(name for name in reversed(sessions) if name in latest)
     if session not in sessions:
         raise InputError(f"session {session!r} is not in this result; it has {', '.join(map(str, sessions))}")
-    _check_given(conditions or {}, result)
+    check_condition_names(conditions or {}, result)
     return CalibratedArm(result, session, theta, psi, conditions or {})
 
 
-def _check_given(conditions: Mapping[str, Any], result: Result) -> None:
-    """Refuse conditions that no drive can have, all at once."""
-    known = dict.fromkeys([*(column for column, _ in CONDITION_KEYS.values()), *_result_columns(result)])
-    issues = []
+def check_condition_names(
+    conditions: Mapping[str, Any], law: Result | Posterior, others: Collection[str] = ()
+) -> None:
+    """Refuse conditions that no drive can have, all at once.
+
+    Parameters
+    ----------
+    conditions : mapping of str to object
+    law : Result or Posterior
+    others : collection of str
+        Further columns that may be given.
+
+    Raises
+    ------
+    InputError
+        Naming each that is neither a log's condition nor a column on which the law depends nor among the
+        others, and each time or number of steps below 0.
+    """
+    known = [*(column for column, _ in CONDITION_KEYS.values()), *_result_columns(law), *others]
+    known, issues = list(dict.fromkeys(known)), []
     for name, value in conditions.items():
         if name not in known:
-            message = f"is no condition; give {join_words(list(known), 'or')}{suggest(name, known)}"
+            message = f"is no condition; give {join_words(known, 'or')}{suggest(name, known)}"
         elif name in FROM_ZERO and not (isinstance(value, int | float | np.number) and value >= 0):
             message = f"{FROM_ZERO[name]}; give a number of 0 or more"
         else:
@@ -341,8 +360,8 @@ def column_key(column: str) -> str:
     return keys[0] if keys else column.removeprefix(COVARIATE_PREFIX)
 
 
-def _result_columns(result: Result) -> tuple[str, ...]:
-    return required_columns(fit.law for fit in result.joints.values())
+def _result_columns(law: Result | Posterior) -> tuple[str, ...]:
+    return required_columns(fit.law for fit in law.joints.values())
 
 
 def check_positions(machine: Machine, q: Array, name: str) -> None:

@@ -18,7 +18,7 @@ from stickslip_fit.logs import drives
 from stickslip_fit.logs._files import SourcePath
 from stickslip_fit.logs.schema import COVARIATE_PREFIX, ORIENTATION, is_coordinate
 from stickslip_fit.machine import Machine
-from stickslip_fit.moves.arm import CONDITION_KEYS, column_key
+from stickslip_fit.moves.arm import CONDITION_KEYS, check_condition_names, column_key
 from stickslip_fit.units import from_si, to_si
 
 MISSING_HISTORY = {
@@ -61,6 +61,7 @@ def read_drives(
         With every fault: file, line, column, value and what to do.
     """
     check_type("law", law, Result, Posterior)
+    check_condition_names(conditions or {}, law, drive_columns(law.machine))
     fitted: dict[tuple[int, str], list[str]] = {}
     for joint, fit in law.joints.items():
         for session, way in zip(fit.groups["session"], fit.groups["direction"], strict=True):
@@ -94,6 +95,11 @@ def _needed_columns(law: StepLaw, machine: Machine) -> tuple[str, ...]:
     causes = [cause for cause, _ in law.active_causes]
     of_causes = [name for one in causes for name in (*one.columns, *getattr(one, "carriers", ()))]
     return tuple(dict.fromkeys([*law.law.columns, *of_causes]))
+
+
+def drive_columns(machine: Machine) -> list[str]:
+    """Columns that say how a drive goes, which conditions may fill in."""
+    return [*(f"q{joint}" for joint in machine.joints), *ORIENTATION]
 
 
 def fill_conditions(rows: pd.DataFrame, conditions: Mapping[str, float]) -> pd.DataFrame:
@@ -162,7 +168,7 @@ def one_drive(
     if others := [name for name in needed if is_coordinate(name) and name != f"q{joint}"]:
         what = join_words(others)
         raise InputError(f"the law of joint {joint} depends on {what}: give the drive in a file, with these")
-    places = dict.fromkeys([*(f"q{one}" for one in machine.joints), *ORIENTATION], np.nan)
+    places = dict.fromkeys(drive_columns(machine), np.nan)
     row = {"session": "", "joint": joint, "direction": direction, **places, "start": start, "stop": stop}
     rows = fill_conditions(pd.DataFrame(row | {"check_every": 1}, index=[0]), conditions)
     _check_history(rows, needed, None)

@@ -22,6 +22,7 @@ from stickslip_fit.logs.plan_reader import read_plan
 from stickslip_fit.machine import load_machine
 from stickslip_fit.moves import DriveCommand, calibrated_arm, dead_reckon, plan_move
 from stickslip_fit.moves.arm import parse_conditions
+from stickslip_fit.moves.drives import read_drives
 from stickslip_fit.moves.prediction import predict
 from stickslip_fit.simulation import LawValues, read_law_values, simulate, step_through
 
@@ -156,15 +157,40 @@ def test_a_law_that_knows_the_clock_asks_for_the_time(result):
         plan_move(calibrated_arm(result), START, TARGET)
 
 
-def test_conditions_that_no_drive_can_have_are_refused(result):
+def drive_of_joint_2() -> pd.DataFrame:
+    row = {"joint": 2, "direction": "+", "q1": 0.1, "q2": np.nan, "q3": 0.01, "theta": 0.0, "psi": 0.0}
+    return pd.DataFrame([row | {"start": -0.5, "stop": 0.5, "check_every": 1}])
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda result, plan, given: calibrated_arm(result, conditions=given),
+        lambda result, plan, given: predict(result, plan, conditions=given),
+        lambda result, plan, given: predict(result, drive_of_joint_2(), conditions=given),
+        lambda result, plan, given: read_drives("absent.csv", result, conditions=given),
+    ],
+    ids=["calibrated_arm", "predict a plan", "predict drives", "read_drives"],
+)
+def test_conditions_that_no_drive_can_have_are_refused(result, plan, use):
     given = {"session_seconds": -5, "temperatur": 293.0, "temperature": 293.0}
     with pytest.raises(InputError) as refused:
-        calibrated_arm(result, conditions=given)
+        use(result, plan, given)
     time, name = map(str, refused.value.problems)
     assert time.startswith("conditions, value 'session_seconds=-5': ")
     assert time.endswith("give a number of 0 or more")
     assert name.startswith("conditions, value 'temperatur=293.0': is no condition; give session_seconds, ")
     assert name.endswith("; did you mean temperature?")
+
+
+def test_conditions_give_the_position_of_a_joint_to_drives_without_it(result):
+    drive, given = drive_of_joint_2(), {"session_seconds": 600.0}
+    whole = predict(result, drive, conditions=given)
+    without = predict(result, drive.assign(q1=np.nan), conditions=given | {"q1": 0.1})
+    pd.testing.assert_frame_equal(whole, without)
+
+
+def test_conditions_at_the_shell_are_numbers_that_a_drive_can_have(result):
     for text, told in (
         ("session_min=-30", "give 0 or more, e.g. session_min"),
         ("session_s=nan", "number"),

