@@ -9,7 +9,7 @@ import os
 import stat
 from pathlib import Path
 
-from stickslip_fit.errors import InputError, InputIssue
+from stickslip_fit.errors import InputError, InputIssue, describe_type
 
 _KINDS = {
     stat.S_IFIFO: "a pipe",
@@ -20,6 +20,24 @@ _KINDS = {
 }
 
 
+def check_path(path: object, kind: str) -> None:
+    """Refuse what is no path, such as what was read from one.
+
+    Examples
+    --------
+    >>> check_path(5, "plan file")
+    Traceback (most recent call last):
+    ...
+    stickslip_fit.errors.InputError: a path is wanted, not an int; name an existing plan file
+    """
+    if not isinstance(path, str | os.PathLike):
+        what = describe_type(path)
+        advice = (
+            "save it with to_csv(path, index=False)" if what == "a DataFrame" else f"name an existing {kind}"
+        )
+        raise InputError(f"a path is wanted, not {what}; {advice}")
+
+
 def read_file(path: str | Path, kind: str, max_bytes: int) -> bytes:
     """What is in a file that `kind` names, such as "plan file".
 
@@ -28,8 +46,9 @@ def read_file(path: str | Path, kind: str, max_bytes: int) -> bytes:
     Raises
     ------
     InputError
-        If it cannot be read, is no regular file, or is larger than `max_bytes`.
+        If it cannot be read, is no path of a regular file, or is larger than `max_bytes`.
     """
+    check_path(path, kind)
     try:
         status = os.stat(path)
         other = _KINDS.get(stat.S_IFMT(status.st_mode))

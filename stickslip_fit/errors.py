@@ -96,6 +96,18 @@ def suggest(name: str, known: Iterable[str]) -> str:
     return f"; did you mean {similar[0]}?" if similar else ""
 
 
+def describe_type(value: object) -> str:
+    """The name of a value's type with its article.
+
+    Examples
+    --------
+    >>> describe_type(5), describe_type("day.csv")
+    ('an int', 'a str')
+    """
+    name = type(value).__name__
+    return f"{'an' if name[0] in 'aeiou' else 'a'} {name}"
+
+
 # What reads a type from a file, and what makes one where that is another call.
 _READERS = {
     "DataFrame": "read_drives({}, law)",
@@ -122,7 +134,7 @@ def check_type(argument: str, value: object, *kinds: type) -> None:
     """
     if isinstance(value, kinds):
         return
-    names, given = [kind.__name__ for kind in kinds], type(value).__name__
+    names, given = [kind.__name__ for kind in kinds], describe_type(value)
     readers = {name: _READERS[name] for name in names if name in _READERS}
     if isinstance(value, str | os.PathLike) and readers:
         how, calls, path = "read it", readers, repr(os.fspath(value))
@@ -130,10 +142,9 @@ def check_type(argument: str, value: object, *kinds: type) -> None:
         made = {name: _MAKERS[name] for name in names if name in _MAKERS}
         how, calls, path = "get one", readers | made, "path"
     advice = f"{how} with " + " or ".join(f"ssf.{call.format(path)}" for call in calls.values())
-    if given == "DataFrame" and "Log" in names:
+    if given == "a DataFrame" and "Log" in names:
         advice += ", or test a table with ssf.diagnose_table(table, law)"
-    article = "an" if given[0] in "aeiou" else "a"
-    message = f"a {' or '.join(names)} is wanted, not {article} {given}; {advice}"
+    message = f"a {' or '.join(names)} is wanted, not {given}; {advice}"
     raise InputError(InputIssue(message, argument=argument))
 
 

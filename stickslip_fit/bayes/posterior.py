@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtri
 
+from stickslip_fit._input import check_path
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Section, Summarized, Summary
 from stickslip_fit._typing import Array
@@ -276,6 +277,7 @@ def load_posterior(path: str | Path, *, laws: Laws | None = None) -> Posterior:
         If one of the two files cannot be read, is damaged or something else, or was made by a newer version;
         or if the two do not belong together.
     """
+    check_path(path, "posterior")
     path = Path(path)
     beside = path.with_suffix(".json")
     try:

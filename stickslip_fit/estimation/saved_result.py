@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 from annotated_types import Ge, MinLen
 
+from stickslip_fit._input import check_path
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause, restore
 from stickslip_fit.causes.parameters import FIRST_TRAVERSE
@@ -85,6 +86,7 @@ def read_saved(
     InputError
         If the file cannot be read, is of another form or a newer version, or is damaged.
     """
+    check_path(path, kind)
     try:
         text = Path(path).read_text(encoding="utf-8")
         content = json.loads(text, parse_float=_finite, parse_int=_whole, parse_constant=_finite)

@@ -17,11 +17,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from stickslip_fit._format import join_words, pluralize
-from stickslip_fit._input import explain_os_error, format_path, read_file
+from stickslip_fit._input import check_path, explain_os_error, format_path, read_file
 from stickslip_fit._typing import Int64Array
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs._csv import parse_csv
@@ -296,7 +297,12 @@ def open_sources(
     InputError
         If no path is given, or a sheet and no workbook; issues of a file are added to `issues`.
     """
-    paths = [source] if isinstance(source, str | Path) else list(source)
+    if isinstance(source, str | Path | pd.DataFrame) or not isinstance(source, Iterable):
+        paths = [source]
+    else:
+        paths = list(source)
+    for path in paths:
+        check_path(path, "log")
     if not paths or "" in paths:
         raise InputError("no log was named; name a file or a folder")
     listing = Listing()

@@ -17,6 +17,7 @@ import numpy as np
 from annotated_types import Interval, MinLen
 from pydantic import PlainValidator, ValidationInfo, model_validator
 
+from stickslip_fit._input import check_path
 from stickslip_fit._toml import Give, Misfit, Quantity, Text, TomlTable, fault, read_toml
 from stickslip_fit._typing import Array
 from stickslip_fit.causes import Cause
@@ -280,6 +281,7 @@ def read_study(path: str | Path, machine: Machine) -> StudyPlan:
     InputError
         With every fault of the file, and of those that it names.
     """
+    check_path(path, "study file")
     path = Path(path)
     read = read_toml(path, StudyFile, "study file", (path.parent, machine))
     return StudyPlan(

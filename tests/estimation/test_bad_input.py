@@ -239,6 +239,16 @@ def test_what_is_no_law_plan_or_diagnosis_is_refused_with_the_call_that_makes_on
         (lambda: ssf.fit(log, causes_from="law.json"), r"^causes_from: .*ssf.load_result\('law.json'\)$"),
         (lambda: ssf.read_drives("drives.csv", log), r"^law: .* not a Log; get one with ssf.fit\("),
         (lambda: ssf.write_log("my-log.csv", "copy.csv"), "^log: a Log is wanted, not a str; "),
+        (lambda: ssf.read_log(log), "^a path is wanted, not a Log; name an existing log$"),
+        (lambda: ssf.read_log(["day.csv", 5]), "^a path is wanted, not an int; "),
+        (lambda: ssf.read_log(log.rows), r"^a path is wanted, not a DataFrame; save it with to_csv\("),
+        (lambda: ssf.load_result(law), "^a path is wanted, not a Result; name an existing result$"),
+        (lambda: ssf.load_posterior(law), "^a path is wanted, not a Result; name an existing posterior$"),
+        (
+            lambda: ssf.read_study(log, law.machine),
+            "^a path is wanted, not a Log; name an existing study file$",
+        ),
+        (lambda: ssf.load_machine(5), "^a path is wanted, not an int; name an existing machine file$"),
     ):
         with pytest.raises(InputError, match=told):
             call()
