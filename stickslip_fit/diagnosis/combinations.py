@@ -146,14 +146,15 @@ def _lacks_beside(
 ) -> float:
     """Nats by which unknown structure is likelier than a cause with the other one in the law.
 
-    Negative if it is not, by as much as makes up a cause set. Where two effects have nothing in common, the
-    other one adds as much to unknown structure.
+    Negative if it is not, by as much as makes up a cause set, and where all forms that the other one may have
+    leave nothing of the cause to be compared. Where two effects have nothing in common, the other one adds as
+    much to unknown structure.
     """
     extension = try_extension(problem, [*selected, other])
     if extension is None:
         return -np.inf
     left, _, unknown = _next_cause(extension, [*selected, other])
-    own = left.log_evidence_by_cause.get(cause.cause, -np.inf)
+    own = left.log_evidence_by_cause.get(cause.cause, np.inf)
     return unknown - own - CAUSE_SET_LOG_BAYES_FACTOR
 
 
