@@ -1,6 +1,11 @@
-"""Measured ball drops: drag and the camera's slant, beside a fit of the same by scipy."""
+"""Measured ball drops: drag and the camera's slant, beside a fit of the same by scipy.
 
+`--set-up` has the same drops with wider bounds of the drag, with each drop's last frame, or without the time.
+"""
+
+import argparse
 import resource
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +23,14 @@ ROOT = Path(__file__).parents[1]
 DRAGS = {"quadratic-drag": quadratic_drag, "linear-drag": linear_drag}
 
 
-def read_frames() -> pd.DataFrame:
-    """A row for each frame, without the last one of each drop, which may show the impact."""
+WIDE = {"quadratic-drag": {"k": (0.0, 1.0)}, "linear-drag": {"r": (0.0, 5.0)}}
+
+
+def read_frames(last: bool = False) -> pd.DataFrame:
+    """A row for each frame; the last one of each drop, which may show the impact, only if asked for."""
     frames = pd.read_csv(ROOT / "data" / "ball_drops" / "drops.csv")
-    frames = frames[frames.groupby(["ball", "drop"]).cumcount(ascending=False) > 0].reset_index(drop=True)
+    from_end = frames.groupby(["ball", "drop"]).cumcount(ascending=False)
+    frames = frames[from_end >= (0 if last else 1)].reset_index(drop=True)
     return pd.DataFrame(
         {
             "ball": frames["ball"],
@@ -71,14 +80,20 @@ def our_sizes(diagnosis: ssf.Diagnosis) -> tuple[pd.Series, pd.Series]:
 
 def main() -> None:
     """Print what is found, the coefficients beside scipy's, and the CPU of the whole diagnosis."""
-    frames = read_frames()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--set-up", choices=["plain", "wide", "last-frames", "no-time"], default="plain")
+    set_up = parser.parse_args().set_up
+    frames, causes = read_frames(set_up == "last-frames"), [*drags("ball"), SLANT]
+    if set_up == "wide":
+        causes = [replace(one, bounds=WIDE.get(one.name, one.bounds)) for one in causes]
     for drag in DRAGS:
         for slanted in (False, True):
             values, error, rms = fit_by_scipy(frames, drag, slanted)
             s = f"s = {values['slant']:.4f} +- {error['slant']:.4f} 1/m" if slanted else "without slant"
             print(f"scipy   {drag:15s} {s:34s} rms {rms:.3f} m")
     began = _cpu_seconds()
-    diagnosis = ssf.diagnose_table(frames, LAW, session="run", time="seconds", causes=[*drags("ball"), SLANT])
+    time = None if set_up == "no-time" else "seconds"
+    diagnosis = ssf.diagnose_table(frames, LAW, session="run", time=time, causes=causes)
     seconds = _cpu_seconds() - began
     for finding in diagnosis.findings:
         print(

@@ -31,11 +31,7 @@ def check_path(path: object, kind: str) -> None:
     stickslip_fit.errors.InputError: a path is wanted, not an int; name an existing plan file
     """
     if not isinstance(path, str | os.PathLike):
-        what = describe_type(path)
-        advice = (
-            "save it with to_csv(path, index=False)" if what == "a DataFrame" else f"name an existing {kind}"
-        )
-        raise InputError(f"a path is wanted, not {what}; {advice}")
+        raise InputError(f"a path is wanted, not {describe_type(path)}; name an existing {kind}")
 
 
 def read_file(path: str | Path, kind: str, max_bytes: int) -> bytes:

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtri
 
-from stickslip_fit._input import check_path
+from stickslip_fit._input import read_file
 from stickslip_fit._io import write_atomically
 from stickslip_fit._summary import Section, Summarized, Summary
 from stickslip_fit._typing import Array
@@ -265,6 +265,7 @@ class PosteriorInSI:
 FORMAT, VERSION = "stickslip-fit/posterior", 1
 SCHEMA = f"{FORMAT}/{VERSION}"
 DRAWN = ("mean", "spread", "repeatability", "parameters")
+MAX_BYTES = 2**33  # of the draws
 DRAWS_KEY = "draws_sha256"  # of the result beside the draws: HDF5 itself would not notice a flipped bit
 
 
@@ -277,14 +278,9 @@ def load_posterior(path: str | Path, *, laws: Laws | None = None) -> Posterior:
         If one of the two files cannot be read, is damaged or something else, or was made by a newer version;
         or if the two do not belong together.
     """
-    check_path(path, "posterior")
+    raw = read_file(path, "posterior", MAX_BYTES)
     path = Path(path)
     beside = path.with_suffix(".json")
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        message = f"cannot be read ({error.strerror}); name an existing posterior"
-        raise InputError(InputIssue(message, str(path))) from None
     content = read_result_json(beside)
     if content.get(DRAWS_KEY) != hashlib.sha256(raw).hexdigest():
         message = f"is no saved posterior, or damaged, or not the one saved with {beside}; fit the log again"

@@ -122,7 +122,10 @@ def first_of_pair(
         if beside_first <= 0 and left.log_evidence_by_cause[second] > PAIR_MIN_LOG_BAYES_FACTOR:
             pairs.append((pair, both))
     for _, both in sorted(found, key=lambda scored: -scored[0]):
-        lacking.append(_lacks_beside(problem, selected, *both))
+        # What the second one's forms have in common with the first one's effect is not in the test beside it;
+        # absorbed together with the second one's own effect, they would take that of the first one as well.
+        alone = replace(both[1], misfit=misfit)
+        lacking.append(_lacks_beside(problem, selected, both[0], alone))
         if lacking[-1] < 0:
             return Search(Combination(both[0], (both[1].cause,)), min(lacking))
     if not pairs:
@@ -146,15 +149,14 @@ def _lacks_beside(
 ) -> float:
     """Nats by which unknown structure is likelier than a cause with the other one in the law.
 
-    Negative if it is not, by as much as makes up a cause set, and where all forms that the other one may have
-    leave nothing of the cause to be compared. Where two effects have nothing in common, the other one adds as
-    much to unknown structure.
+    Negative if it is not, by as much as makes up a cause set. Where two effects have nothing in common, the
+    other one adds as much to unknown structure.
     """
     extension = try_extension(problem, [*selected, other])
     if extension is None:
         return -np.inf
     left, _, unknown = _next_cause(extension, [*selected, other])
-    own = left.log_evidence_by_cause.get(cause.cause, np.inf)
+    own = left.log_evidence_by_cause.get(cause.cause, -np.inf)
     return unknown - own - CAUSE_SET_LOG_BAYES_FACTOR
 
 

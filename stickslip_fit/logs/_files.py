@@ -297,10 +297,9 @@ def open_sources(
     InputError
         If no path is given, or a sheet and no workbook; issues of a file are added to `issues`.
     """
-    if isinstance(source, str | Path | pd.DataFrame) or not isinstance(source, Iterable):
-        paths = [source]
-    else:
-        paths = list(source)
+    if isinstance(source, pd.DataFrame):
+        raise InputError("a path is wanted, not a DataFrame; save it with to_csv(path, index=False)")
+    paths = list(source) if isinstance(source, Iterable) and not isinstance(source, str) else [source]
     for path in paths:
         check_path(path, "log")
     if not paths or "" in paths:

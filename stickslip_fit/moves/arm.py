@@ -211,11 +211,11 @@ def calibrated_arm(
         session = next(name for name in reversed(sessions) if name in latest)
     if session not in sessions:
         raise InputError(f"session {session!r} is not in this result; it has {', '.join(map(str, sessions))}")
-    check_condition_names(conditions or {}, result)
+    check_given_conditions(conditions or {}, result)
     return CalibratedArm(result, session, theta, psi, conditions or {})
 
 
-def check_condition_names(
+def check_given_conditions(
     conditions: Mapping[str, Any], law: Result | Posterior, others: Collection[str] = ()
 ) -> None:
     """Refuse conditions that no drive can have, all at once.

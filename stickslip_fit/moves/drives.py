@@ -18,7 +18,7 @@ from stickslip_fit.logs import drives
 from stickslip_fit.logs._files import SourcePath
 from stickslip_fit.logs.schema import COVARIATE_PREFIX, ORIENTATION, is_coordinate
 from stickslip_fit.machine import Machine
-from stickslip_fit.moves.arm import CONDITION_KEYS, check_condition_names, column_key
+from stickslip_fit.moves.arm import CONDITION_KEYS, check_given_conditions, column_key
 from stickslip_fit.units import from_si, to_si
 
 MISSING_HISTORY = {
@@ -61,7 +61,7 @@ def read_drives(
         With every fault: file, line, column, value and what to do.
     """
     check_type("law", law, Result, Posterior)
-    check_condition_names(conditions or {}, law, drive_columns(law.machine))
+    check_given_conditions(conditions or {}, law, drive_columns(law.machine))
     fitted: dict[tuple[int, str], list[str]] = {}
     for joint, fit in law.joints.items():
         for session, way in zip(fit.groups["session"], fit.groups["direction"], strict=True):

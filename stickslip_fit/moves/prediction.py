@@ -15,7 +15,7 @@ from stickslip_fit.estimation.result import convert_predictions
 from stickslip_fit.laws import observed_count
 from stickslip_fit.logs.history import FURTHER_HISTORY
 from stickslip_fit.logs.plan import Plan
-from stickslip_fit.moves.arm import check_condition_names
+from stickslip_fit.moves.arm import check_given_conditions
 from stickslip_fit.moves.drives import drive_columns, fill_conditions
 from stickslip_fit.simulation.campaign import INITIAL_HISTORY, drive_through, uses_history
 
@@ -63,7 +63,7 @@ def predict(
     check_type("fitted", fitted, Result, Posterior)
     check_type("plan", plan, Plan, pd.DataFrame)
     own = drive_columns(_result_of(fitted).machine) if isinstance(plan, pd.DataFrame) else []
-    check_condition_names(conditions or {}, fitted, own)
+    check_given_conditions(conditions or {}, fitted, own)
     if isinstance(plan, pd.DataFrame):
         return _predict_drives(fitted, plan, session, conditions or {})
     if isinstance(fitted, Result):

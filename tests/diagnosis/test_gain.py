@@ -369,15 +369,17 @@ def oracle(hidden, selection):
 
 
 def share_of_the_oracle(problem, seeds, strength, design="session"):
-    subset, its = [], []
+    subset, its, apart = [], [], []
     for seed in seeds:
         hidden = hide(design, (FEW[seed % len(FEW)],), strength, seed=seed)
         whole, selection = measured(problem(hidden))
         baseline, extended = oracle(hidden, selection)
-        # Laws are not linear: of a session with few rows one may err by far more than by algebra.
-        assert whole.baseline == pytest.approx(baseline, rel=0.06)
+        apart.append(abs(whole.baseline / baseline - 1.0))
         subset.append(gained(whole))
         its.append(baseline - extended)
+    # Laws are not linear: of a session with few rows one may err by far more than by algebra.
+    assert np.median(apart) < 0.01
+    assert np.max(apart) < 0.06
     return np.sum(subset) / np.sum(its)
 
 
