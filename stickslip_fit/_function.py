@@ -2,6 +2,8 @@
 
 Derivatives are by complex step (W. Squire and G. Trapp, SIAM Review 40:110, 1998) where it agrees with
 central differences, which it does for functions that are analytic in the parameter; else by the differences.
+About 0 many functions switch to a limit that does not depend on the parameter, so that a fit that reaches 0
+would stay there: where a derivative vanishes so near to 0, it is that of a wider difference.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from stickslip_fit.errors import InputError
 COMPLEX_STEP = 1e-100
 DIFFERENCE_STEP = float(np.cbrt(np.finfo(float).eps))  # of each value, or of its typical size
 NO_FUNCTIONS: Mapping[str, Callable[..., Any]] = MappingProxyType({})
+NEAR_ZERO = 1e-3  # of a parameter's typical size; also the wider difference
 AGREEMENT = 1e-5  # of the complex step with the differences, relative to the largest derivative
 
 
@@ -85,7 +88,7 @@ class NumericFunction:
                     difference = self._difference(arguments, name)
                     is_analytic[name] = slope is not None and _agree(slope, difference)
                     slope = slope if slope is not None and is_analytic[name] else difference
-                slopes.append(slope)
+                slopes.append(self._steepen(arguments, name, value, slope))
             stacked = np.stack(slopes, axis=-1) if slopes else np.zeros((*value.shape, 0))
             return value, stacked
 
@@ -106,6 +109,17 @@ class NumericFunction:
             f"the function {self.text} cannot be saved: it is not in a module that can be imported. Move it "
             "into a file of its own and import it from there, or write it as a formula"
         )
+
+    def _steepen(self, arguments: Mapping[str, Array], name: str, value: Array, slope: Array) -> Array:
+        """Derivatives, those that vanish near 0 by a wider difference, to the side where there is one."""
+        x = arguments[name]
+        step = NEAR_ZERO * float(np.sqrt(np.mean(x**2)))
+        flat = (np.abs(x) < step) & ((slope == 0) | ~np.isfinite(slope))
+        for shift in (step, -step) if flat.any() else ():
+            wider = (self._call({**arguments, name: x + shift}) - value) / shift
+            better = flat & np.isfinite(wider) & (wider != 0)
+            slope, flat = np.where(better, wider, slope), flat & ~better
+        return slope
 
     def _difference(self, arguments: Mapping[str, Array], name: str) -> Array:
         x = arguments[name]

@@ -29,6 +29,7 @@ from stickslip_fit.diagnosis.extension import (
     absorb_unknown,
     add_candidates,
     compute_evidence,
+    extend_problem,
     make_selected,
     name_explained,
     try_extension,
@@ -51,13 +52,14 @@ from stickslip_fit.diagnosis.refits import (
     MIN_REFIT_LOG_BAYES_FACTOR,
     MIN_REFIT_SHARE,
     Refits,
-    penalised_likelihood,
+    advantage,
     refit_likeliest,
 )
 
 # Nats: evidence of a cause to be tried as the first of a pair, and by how much a pair must be likelier than
 # unknown structure; the number of causes that are tried.
 PAIR_MIN_LOG_BAYES_FACTOR, PAIR_LOG_PENALTY, MAX_PAIR_TRIALS = 3.0, 3.0, 3
+MAX_BY_NOISE = 10.0  # nats that a pair gains where the autocorrelation of the noise depends on it
 MAX_LIKELY_SHAPES = 6  # of unknown structure, beside which causes are looked for
 AT_ONCE = 50  # more structures beside one of these
 
@@ -98,10 +100,11 @@ def first_of_pair(
     pairs: list[tuple[float, list[SelectedCause]]] = []
     causes = misfit.rank_causes(PAIR_MIN_LOG_BAYES_FACTOR)[:MAX_PAIR_TRIALS]
     lacking = [np.inf]
-    if problem.autocorrelation is None and causes:
+    if causes:
         # Linearized: the third of three causes adds no more than the second.
         added = _evidence_added(misfit, causes, problem.linearize().df)
-        most = {cause: evidence[cause] + 2.0 * added[cause] for cause in causes}
+        slack = 0.0 if problem.autocorrelation is None else MAX_BY_NOISE
+        most = {cause: evidence[cause] + 2.0 * added[cause] + slack for cause in causes}
         causes = [cause for cause in causes if most[cause] > highest]
         lacking += [highest - most[cause] for cause in most if cause not in causes]
     for cause in causes:
@@ -382,9 +385,8 @@ def find_exchange(
     rivals = _close_rivals(current, left_over + margin, problem)
     if not rivals:
         return Exchange()
-    own = penalised_likelihood(*extension[:2])
-    to_beat = own + left_over + margin
-    as_likely = own + float(np.log(n_causes)) - CAUSE_SET_LOG_BAYES_FACTOR
+    law = extension[:2]
+    to_beat, as_likely = left_over + margin, float(np.log(n_causes)) - CAUSE_SET_LOG_BAYES_FACTOR
     best, likelihoods = None, dict[str, float]()
     for rival in rivals:
         one = make_selected(current.test, form_cause_set(current.test, rival), refits.starts)
@@ -393,7 +395,7 @@ def find_exchange(
         if of_rival is None:
             continue
         left, _, unknown = _next_cause(of_rival, trial, [current.cause])
-        alone = penalised_likelihood(*of_rival[:2])
+        alone = advantage(of_rival[:2], law)
         for second in _likely_seconds(left, unknown, problem):
             likely = alone + left.log_evidence_by_cause[second]
             if problem.autocorrelation is None and likely < to_beat - PAIR_LOG_PENALTY:
@@ -404,7 +406,7 @@ def find_exchange(
             of_both = try_extension(problem, [*trial, two])
             if of_both is None:
                 continue
-            likelihood = penalised_likelihood(*of_both[:2])
+            likelihood = advantage(of_both[:2], law)
             likelihoods[rival] = max(likelihood, likelihoods.get(rival, -np.inf))
             if likelihood > to_beat:
                 best, to_beat = Combination(one, (second,)), likelihood
@@ -473,36 +475,58 @@ def name_combinations(
 
 
 def revise_causes(
-    problem: DiagnosisProblem, causes: Sequence[SelectedCause], rng: np.random.Generator
-) -> list[SelectedCause]:
-    """Each cause, and structure without a name, selected again with all the others in the law."""
-    revised = list(causes)
-    for place in range(len(causes)):
-        # Restricted to a part, it is no version that others are compared with.
-        if getattr(causes[place].version, "is_restricted", False):
+    extension: Extension, causes: Sequence[SelectedCause], rng: np.random.Generator, n_last: int = 0
+) -> tuple[list[SelectedCause], Extension]:
+    """Each cause, and structure without a name, selected again with all the others in the law.
+
+    `extension` is the law with all; so many of the last causes stay. Other forms of the others may hide a
+    cause from the test that is to select it again: what makes the law less likely does not take its place.
+    """
+    revised, problem = list(causes), extension[0]
+    for place in range(len(causes) - n_last):
+        one = _select_again(problem, revised, place, rng)
+        before = revised[place]
+        if one is None:
             continue
-        others = [one for k, one in enumerate(revised) if k != place]
-        extension = try_extension(problem, others)
-        if extension is None:
-            continue
-        trial, linearized = extension[0], absorb_unknown(extension, others)
-        misfit = compute_evidence(linearized, trial, name_explained(others))
-        if not misfit.hypotheses:  # beside a proposal for the same column, of which all forms count
-            continue
-        refits = refit_likeliest(trial, others, misfit)
-        one = make_selected(refits.misfit, form_cause_set(refits.misfit), refits.starts)
-        if one.cause == UNKNOWN:
-            if causes[place].cause != UNKNOWN:
+        trial = [*revised[:place], one, *revised[place + 1 :]]
+        # In another version a cause of the same name has other parameters.
+        if (one.cause, one.version) != (before.cause, before.version):
+            other = extend_problem(problem, trial)
+            if advantage(other[:2], extension[:2]) < -CAUSE_SET_LOG_BAYES_FACTOR:
                 continue
-            one = replace(one, ahead_of_pairs=causes[place].ahead_of_pairs)
-            one = propose_term(linearized, [*others, one], problem.expressions, rng)[-1]
-            if one.version is None:
-                continue
-        before = causes[place]
-        if one.cause in before.cause_set.by_refit:  # of two that took each other's place neither is clear
-            one = replace(one, cause_set=one.cause_set.with_rivals([before.cause]))
-        revised[place] = replace(one, p_value=before.p_value, naming=before.naming or before.misfit)
-    return revised
+            extension = other
+        revised = trial
+    return revised, extension
+
+
+def _select_again(
+    problem: DiagnosisProblem, causes: Sequence[SelectedCause], place: int, rng: np.random.Generator
+) -> SelectedCause | None:
+    """What is selected in a place with all other causes in the law; None where nothing can be."""
+    before = causes[place]
+    # Restricted to a part, it is no version that others are compared with.
+    if getattr(before.version, "is_restricted", False):
+        return None
+    others = [one for k, one in enumerate(causes) if k != place]
+    extension = try_extension(problem, others)
+    if extension is None:
+        return None
+    trial, linearized = extension[0], absorb_unknown(extension, others)
+    misfit = compute_evidence(linearized, trial, name_explained(others))
+    if not misfit.hypotheses:  # beside a proposal for the same column, of which all forms count
+        return None
+    refits = refit_likeliest(trial, others, misfit)
+    one = make_selected(refits.misfit, form_cause_set(refits.misfit), refits.starts)
+    if one.cause == UNKNOWN:
+        if before.cause != UNKNOWN:
+            return None
+        one = replace(one, ahead_of_pairs=before.ahead_of_pairs)
+        one = propose_term(linearized, [*others, one], problem.expressions, rng)[-1]
+        if one.version is None:
+            return None
+    if one.cause in before.cause_set.by_refit:  # of two that took each other's place neither is clear
+        one = replace(one, cause_set=one.cause_set.with_rivals([before.cause]))
+    return replace(one, p_value=before.p_value, naming=before.naming or before.misfit)
 
 
 def find_needless(
@@ -517,15 +541,14 @@ def find_needless(
     list of (selected, Extension)
         Those whose penalised likelihood is less by at most `most` nats, the likeliest first.
     """
-    to_beat = penalised_likelihood(problem, whole) - most
     found = []
     for place in range(len(selected)):
         others = [one for k, one in enumerate(selected) if k != place]
         extension = try_extension(problem, others)
         if extension is None:
             continue
-        likelihood = penalised_likelihood(*extension[:2])
-        if likelihood > to_beat:
+        likelihood = advantage(extension[:2], (problem, whole))
+        if likelihood > -most:
             found.append((likelihood, others, extension))
     found.sort(key=lambda one: -one[0])
     return [(others, extension) for _, others, extension in found]

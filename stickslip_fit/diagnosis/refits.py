@@ -29,6 +29,8 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 # Nats of a cause that is refitted before one is named, and the share of the largest evidence that it has.
 MIN_REFIT_LOG_BAYES_FACTOR, MIN_REFIT_SHARE = 10.0, 0.3
 INSIDE_SET = 0.99  # of the nats within which causes make up a set
+Law = tuple[DiagnosisProblem, ExtendedFit]
+"""A problem and a fit of its laws with causes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +75,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
     least = max(MIN_REFIT_SHARE * max(evidence.values(), default=0.0), MIN_REFIT_LOG_BAYES_FACTOR)
     if not (likeliest := misfit.rank_causes(least)[: problem.n_refits]):
         return Refits(misfit, starts, extensions)
-    before, likelihoods = problem.linearize_extended(fit_causes(problem, selected)), dict[str, float]()
+    before = problem.linearize_extended(fit_causes(problem, selected))
     of_moments: dict[str, float] = {}
     residuals: dict[str, Array] = {}
     for cause in likeliest:
@@ -103,9 +105,14 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
             if extension is None:
                 failed.append(cause)
                 continue
-            extensions[cause] = extended, fit, _ = extension
-            likelihoods[cause], of_moments[cause] = penalised_likelihood(extended, fit), price_moments(fit)
-    if likelihoods:
+            extensions[cause] = extension
+            of_moments[cause] = price_moments(extension[1])
+    if extensions:
+        noises = [extended for extended, _, _ in extensions.values()]
+        likelihoods = {
+            cause: penalised_likelihood(extended, fit, *noises)
+            for cause, (extended, fit, _) in extensions.items()
+        }
         highest, best = max(evidence[cause] for cause in likelihoods), max(likelihoods.values())
         # A moment where something else changes, too, is one of fewer: its price alone excludes no cause.
         inside = best - INSIDE_SET * CAUSE_SET_LOG_BAYES_FACTOR
@@ -149,16 +156,35 @@ def _compare_sessions(
     return evidence | {cause: evidence[best] - limited[cause] for cause in inconsistent}, inconsistent
 
 
-def penalised_likelihood(problem: DiagnosisProblem, fit: ExtendedFit) -> float:
+def penalised_likelihood(problem: DiagnosisProblem, fit: ExtendedFit, *others: DiagnosisProblem) -> float:
     """Log likelihood of laws with causes, less what the Bayesian information criterion takes.
 
     It counts the causes' parameters, of those with a prior only what the data determine, and a moment of
     sudden change twice, which is one of as many as there are rows (N. R. Zhang and D. O. Siegmund, Biometrics
-    63:22, 2007). The coefficients of the noise are no part of the law.
+    63:22, 2007). The coefficients of the noise are no part of the law. The noise of a sampled signal is known
+    less closely than laws differ: of its own and that of `others`, the likeliest counts.
     """
     determined = 1.0 - np.diag(fit.covariance) / fit.prior_sd**2
     price = 0.5 * float(np.sum(determined)) * float(np.log(len(problem)))
-    return problem.log_likelihood(fit) - price - price_moments(fit)
+    if problem.autocorrelation is None:
+        likelihood = problem.log_likelihood(fit)
+    else:
+        likelihood = max(_profile_likelihood(noise, fit) for noise in (problem, *others))
+    return likelihood - price - price_moments(fit)
+
+
+def advantage(one: Law, other: Law) -> float:
+    """By how many nats the first of two laws of the same rows is likelier, both penalised."""
+    return penalised_likelihood(*one, other[0]) - penalised_likelihood(*other, one[0])
+
+
+def _profile_likelihood(noise: DiagnosisProblem, fit: ExtendedFit) -> float:
+    """Log likelihood of laws with causes in the noise of a problem, its size the likeliest."""
+    assert noise.autocorrelation is not None
+    whitened, n = noise.autocorrelation.whiten(fit.residual / noise.scale), len(fit.residual)
+    mean_square = max(float(np.mean(whitened**2)), float(np.finfo(float).tiny))
+    spread = float(np.sum(np.log(noise.scale))) + 0.5 * n * (1.0 + float(np.log(mean_square)))
+    return noise.autocorrelation.log_determinant - spread
 
 
 def price_moments(fit: ExtendedFit) -> float:

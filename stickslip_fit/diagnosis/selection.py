@@ -32,6 +32,7 @@ from stickslip_fit.diagnosis.combinations import (
     name_combinations,
     revise_causes,
 )
+from stickslip_fit.diagnosis.covered_causes import find_covered, is_collinear
 from stickslip_fit.diagnosis.extension import (
     OUTLIER_ALPHA_SHARE,
     Extension,
@@ -261,6 +262,16 @@ class _ForwardSelection:
             if not self.add_cause():
                 break
 
+    def add_covered(self) -> bool:
+        """Add a cause that other forms of the selected ones cover in the last test; whether there is one."""
+        nothing_left = self.last.p_value >= self.level
+        found = find_covered(self.extension, self.selected, self.level) if nothing_left else None
+        if found is None:
+            return False
+        self.selected, extension = revise_causes(found[1], [*self.selected, found[0]], self.rng, n_last=1)
+        self.extension, self.last = self.assess_in_less_noise(extension, self.selected)
+        return True
+
     def add_cause(self) -> bool:
         """Add the cause that the last test shows; whether others may follow."""
         problem = self.extension[0]
@@ -275,12 +286,11 @@ class _ForwardSelection:
         is_part = getattr(chosen[-1].version, "is_restricted", False)  # of which no refit was made
         extension = None if is_part else refits.extension_with(chosen)
         extension = extension or extend_problem(problem, chosen)
+        if chosen[-1].cause == UNKNOWN and is_collinear(self.extension, extension, chosen):
+            self.selected = [*chosen[:-1], replace(chosen[-1], version=None, start=np.zeros(0))]
+            return False
         if self.selected and chosen[-1].cause != UNKNOWN:
-            revised = revise_causes(extension[0], chosen, self.rng)
-            # In another version a cause of the same name has other parameters.
-            if [(one.cause, one.version) for one in revised] != [(one.cause, one.version) for one in chosen]:
-                extension = extend_problem(extension[0], revised)
-            chosen = revised
+            chosen, extension = revise_causes(extension, chosen, self.rng)
         if _ends_search(chosen[-1], len(problem)):
             # The tests that would follow carry-over are for independent noise.
             if self.selected and not isinstance(chosen[-1].version, CarryOverTerm):
@@ -292,9 +302,9 @@ class _ForwardSelection:
             chosen = self.replace_unknown(chosen, searched)
             if chosen[-1].cause != UNKNOWN:
                 extension, last = self.assess_in_less_noise(extend_problem(problem, chosen), chosen)
-        if chosen[-1].cause != UNKNOWN:
-            chosen, extension, last = self.exchange(chosen, extension, last, refits)
         self.selected, self.extension, self.last = chosen, extension, last
+        if chosen[-1].cause != UNKNOWN and not self.add_covered():
+            self.exchange(problem, refits)
         return True
 
     def choose_cause(self, refits: Refits, searched: LinearizedFit) -> list[SelectedCause]:
@@ -334,23 +344,22 @@ class _ForwardSelection:
             return [*others, beside.found.first]
         return [*others, replace(unknown, ahead_of_pairs=min(unknown.ahead_of_pairs, beside.behind))]
 
-    def exchange(
-        self, chosen: list[SelectedCause], extension: Extension, last: Misfit, refits: Refits
-    ) -> tuple[list[SelectedCause], Extension, Misfit]:
-        """The last cause with its rivals, or one of these in its place if likelier with another cause."""
-        problem = self.extension[0]
-        exchange = find_exchange(problem, chosen, extension, last, refits, self.level)
-        cause_set = chosen[-1].cause_set.with_rivals(exchange.rivals)
-        chosen = [*chosen[:-1], replace(chosen[-1], cause_set=cause_set)]
-        if exchange.found is not None:
-            first = exchange.found.first
-            first = replace(first, cause_set=first.cause_set.with_rivals([chosen[-1].cause]))
-            trial = [*chosen[:-1], first]
-            other = refits.extension_with(trial) or try_extension(problem, trial)
-            if other is not None and (other_test := self.assess(other, trial)).p_value < self.level:
-                self.combinations.append((trial[-1].cause, *exchange.found.others))
-                return trial, other, other_test
-        return chosen, extension, last
+    def exchange(self, problem: DiagnosisProblem, refits: Refits) -> None:
+        """Give the last cause its rivals, or one of these in its place if likelier with another cause.
+
+        The `problem` is the one before it was selected.
+        """
+        exchange = find_exchange(problem, self.selected, self.extension, self.last, refits, self.level)
+        *others, current = self.selected
+        self.selected = [*others, replace(current, cause_set=current.cause_set.with_rivals(exchange.rivals))]
+        if exchange.found is None:
+            return
+        first = exchange.found.first
+        trial = [*others, replace(first, cause_set=first.cause_set.with_rivals([current.cause]))]
+        other = refits.extension_with(trial) or try_extension(problem, trial)
+        if other is not None and (test := self.assess(other, trial)).p_value < self.level:
+            self.combinations.append((trial[-1].cause, *exchange.found.others))
+            self.selected, self.extension, self.last = trial, other, test
 
     def drop_needless(self, most: float) -> None:
         """Drop causes without which nothing is found, and the law is less likely by at most `most` nats."""

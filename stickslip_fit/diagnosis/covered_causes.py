@@ -1,0 +1,113 @@
+"""A cause that other forms of the selected ones cover.
+
+What selected causes leave is tested without what their other forms describe, since the form that was fitted
+may not be the true one (`extension.alternative_forms`). A second effect that resembles these would never
+show: of a body that falls in air, the camera's distortion bends the curve much as another kind of drag does.
+So where such forms take up more of the residuals than of noise, each cause is weighed against them, as
+against any other structure without a name. The other way round, a function without a name may be all but
+covered by the causes: it would only undo what they say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import fdtrc
+
+from stickslip_fit._typing import Array
+from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.extension import (
+    Extension,
+    SelectedCause,
+    add_candidates,
+    alternative_forms,
+    compute_evidence,
+    law_causes,
+    make_selected,
+    name_explained,
+    try_extension,
+)
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
+from stickslip_fit.diagnosis.influence import assess_support
+from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.refits import advantage, refit_likeliest
+
+MIN_COVERED = 0.5  # of a cause's effect; of any other the test without the forms has told
+# Share of a function's square that it adds to a law whose causes take back the rest. One with less has a
+# variance inflation factor of 10, which counts as collinear (D. W. Marquardt, Technometrics 12:591, 1970).
+MIN_ADDED = 0.1
+
+
+def find_covered(
+    extension: Extension, selected: Sequence[SelectedCause], level: float
+) -> tuple[SelectedCause, Extension] | None:
+    """A cause that explains what other forms of the selected ones take up, and better, with the law with it.
+
+    The forms have to take up more than of noise at `level` (an F test); the cause has to be likelier than
+    they are, and the law with it likelier by the logarithm of the number of causes over `level`.
+    """
+    problem, fit, without_forms = extension
+    if any(one.cause == UNKNOWN for one in selected):
+        return None
+    plain = problem.linearize_extended(fit)
+    if not _take_up_structure(plain, without_forms, level):
+        return None
+    forms = [
+        make_hypothesis(
+            f"{UNKNOWN}:form of {one.cause}", None, None, plain.project(alternative_forms(plain, one))
+        )
+        for one in law_causes(selected)
+    ]
+    test = compute_evidence(plain, problem, name_explained(selected))
+    test = add_candidates([*test.hypotheses, *(one for one in forms if one is not None)], plain, ())
+    refits = refit_likeliest(problem, selected, test)
+    following = make_selected(refits.misfit, form_cause_set(refits.misfit), refits.starts)
+    if following.cause == UNKNOWN:
+        return None
+    shape = following.test.best_hypothesis(following.cause)
+    if not isinstance(shape, Hypothesis) or _share_covered(shape, plain, without_forms) < MIN_COVERED:
+        return None
+    if assess_support(plain, following.test, following.cause).too_narrow:
+        return None
+    both = [*selected, following]
+    extended = refits.extension_with(both) or try_extension(problem, both)
+    margin = float(np.log(len(test.log_evidence_by_cause) / level))
+    if extended is None or advantage(extended[:2], (problem, fit)) < margin:
+        return None
+    return following, extended
+
+
+def is_collinear(before: Extension, after: Extension, selected: Sequence[SelectedCause]) -> bool:
+    """Whether the last of the selected, a function without a name, is nearly taken back by the other causes.
+
+    `before` is the extension without it, `after` that with it. Sizes of such causes would be anything, and
+    nothing would tell how much of the function is real.
+    """
+    if len(law_causes(selected)) < 2:
+        return False
+    problem, fit, _ = after
+    linearized, slopes = problem.linearize_causes(fit)
+    number = len(selected[-1].start)
+    function = slopes[:, len(fit.values) - number :] @ fit.values[len(fit.values) - number :]
+    added = linearized.whiten(before[1].residual - fit.residual)
+    return float(added @ added) < MIN_ADDED * float(function @ function)
+
+
+def _take_up_structure(plain: LinearizedFit, without_forms: LinearizedFit, level: float) -> bool:
+    """Whether forms that are projected out take up more of the residuals than of noise."""
+    number = without_forms.basis.shape[1] - plain.basis.shape[1]
+    left = float(np.sum(without_forms.residual**2))
+    taken = float(np.sum(plain.residual**2)) - left
+    if not number or without_forms.df < 1 or left <= 0:
+        return False
+    ratio = max(taken, 0.0) / number / (left / without_forms.df)
+    return bool(fdtrc(number, without_forms.df, ratio) < level)
+
+
+def _share_covered(shape: Hypothesis, plain: LinearizedFit, without_forms: LinearizedFit) -> float:
+    """The share of an effect's square that forms take up which are projected out."""
+    effects: Array = shape.directions * np.sqrt(shape.prior_share)
+    left = np.sum(without_forms.project(effects) ** 2) / np.sum(plain.project(effects) ** 2)
+    return 1.0 - float(left)
