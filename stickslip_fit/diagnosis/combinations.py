@@ -29,14 +29,13 @@ from stickslip_fit.diagnosis.extension import (
     absorb_unknown,
     add_candidates,
     compute_evidence,
-    extend_problem,
     make_selected,
     name_explained,
     try_extension,
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_finite_effects, make_hypothesis
 from stickslip_fit.diagnosis.influence import assess_support
-from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
+from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import (
     FINE_STRENGTHS,
@@ -339,7 +338,7 @@ def _next_cause(
 ) -> tuple[Misfit, str, float]:
     """The test with causes in the law, the likeliest cause then, and the evidence of unknown structure."""
     linearized = absorb_unknown(extension, selected)
-    left = compute_evidence(linearized, extension[0], [*name_explained(selected), *without])
+    left = compute_evidence(linearized, extension.problem, [*name_explained(selected), *without])
     evidence = left.log_evidence_by_cause
     following = max((name for name in evidence if name != UNKNOWN), key=evidence.__getitem__, default=UNKNOWN)
     return left, following, evidence.get(UNKNOWN, -np.inf)
@@ -385,7 +384,6 @@ def find_exchange(
     rivals = _close_rivals(current, left_over + margin, problem)
     if not rivals:
         return Exchange()
-    law = extension[:2]
     to_beat, as_likely = left_over + margin, float(np.log(n_causes)) - CAUSE_SET_LOG_BAYES_FACTOR
     best, likelihoods = None, dict[str, float]()
     for rival in rivals:
@@ -395,7 +393,7 @@ def find_exchange(
         if of_rival is None:
             continue
         left, _, unknown = _next_cause(of_rival, trial, [current.cause])
-        alone = advantage(of_rival[:2], law)
+        alone = advantage(of_rival, extension)
         for second in _likely_seconds(left, unknown, problem):
             likely = alone + left.log_evidence_by_cause[second]
             if problem.autocorrelation is None and likely < to_beat - PAIR_LOG_PENALTY:
@@ -406,7 +404,7 @@ def find_exchange(
             of_both = try_extension(problem, [*trial, two])
             if of_both is None:
                 continue
-            likelihood = advantage(of_both[:2], law)
+            likelihood = advantage(of_both, extension)
             likelihoods[rival] = max(likelihood, likelihoods.get(rival, -np.inf))
             if likelihood > to_beat:
                 best, to_beat = Combination(one, (second,)), likelihood
@@ -482,7 +480,7 @@ def revise_causes(
     `extension` is the law with all; so many of the last causes stay. Other forms of the others may hide a
     cause from the test that is to select it again: what makes the law less likely does not take its place.
     """
-    revised, problem = list(causes), extension[0]
+    revised, problem = list(causes), extension.problem
     for place in range(len(causes) - n_last):
         one = _select_again(problem, revised, place, rng)
         before = revised[place]
@@ -491,8 +489,8 @@ def revise_causes(
         trial = [*revised[:place], one, *revised[place + 1 :]]
         # In another version a cause of the same name has other parameters.
         if (one.cause, one.version) != (before.cause, before.version):
-            other = extend_problem(problem, trial)
-            if advantage(other[:2], extension[:2]) < -CAUSE_SET_LOG_BAYES_FACTOR:
+            other = try_extension(problem, trial)
+            if other is None or advantage(other, extension) < -CAUSE_SET_LOG_BAYES_FACTOR:
                 continue
             extension = other
         revised = trial
@@ -511,7 +509,7 @@ def _select_again(
     extension = try_extension(problem, others)
     if extension is None:
         return None
-    trial, linearized = extension[0], absorb_unknown(extension, others)
+    trial, linearized = extension.problem, absorb_unknown(extension, others)
     misfit = compute_evidence(linearized, trial, name_explained(others))
     if not misfit.hypotheses:  # beside a proposal for the same column, of which all forms count
         return None
@@ -530,7 +528,7 @@ def _select_again(
 
 
 def find_needless(
-    problem: DiagnosisProblem, selected: Sequence[SelectedCause], whole: ExtendedFit, most: float
+    whole: Extension, selected: Sequence[SelectedCause], most: float
 ) -> list[tuple[list[SelectedCause], Extension]]:
     """The laws without one of the selected causes that are hardly less likely than the `whole`.
 
@@ -544,10 +542,10 @@ def find_needless(
     found = []
     for place in range(len(selected)):
         others = [one for k, one in enumerate(selected) if k != place]
-        extension = try_extension(problem, others)
+        extension = try_extension(whole.problem, others)
         if extension is None:
             continue
-        likelihood = advantage(extension[:2], (problem, whole))
+        likelihood = advantage(extension, whole)
         if likelihood > -most:
             found.append((likelihood, others, extension))
     found.sort(key=lambda one: -one[0])

@@ -10,8 +10,6 @@ covered by the causes: it would only undo what they say.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.special import fdtrc
 
@@ -23,7 +21,6 @@ from stickslip_fit.diagnosis.extension import (
     add_candidates,
     alternative_forms,
     compute_evidence,
-    law_causes,
     make_selected,
     name_explained,
     try_extension,
@@ -40,25 +37,23 @@ MIN_COVERED = 0.5  # of a cause's effect; of any other the test without the form
 MIN_ADDED = 0.1
 
 
-def find_covered(
-    extension: Extension, selected: Sequence[SelectedCause], level: float
-) -> tuple[SelectedCause, Extension] | None:
+def find_covered(extension: Extension, level: float) -> tuple[SelectedCause, Extension] | None:
     """A cause that explains what other forms of the selected ones take up, and better, with the law with it.
 
     The forms have to take up more than of noise at `level` (an F test); the cause has to be likelier than
     they are, and the law with it likelier by the logarithm of the number of causes over `level`.
     """
-    problem, fit, without_forms = extension
+    problem, plain, without_forms = extension.problem, extension.plain, extension.linearized
+    selected = extension.causes
     if any(one.cause == UNKNOWN for one in selected):
         return None
-    plain = problem.linearize_extended(fit)
     if not _take_up_structure(plain, without_forms, level):
         return None
     forms = [
         make_hypothesis(
             f"{UNKNOWN}:form of {one.cause}", None, None, plain.project(alternative_forms(plain, one))
         )
-        for one in law_causes(selected)
+        for one in selected
     ]
     test = compute_evidence(plain, problem, name_explained(selected))
     test = add_candidates([*test.hypotheses, *(one for one in forms if one is not None)], plain, ())
@@ -74,24 +69,23 @@ def find_covered(
     both = [*selected, following]
     extended = refits.extension_with(both) or try_extension(problem, both)
     margin = float(np.log(len(test.log_evidence_by_cause) / level))
-    if extended is None or advantage(extended[:2], (problem, fit)) < margin:
+    if extended is None or advantage(extended, extension) < margin:
         return None
     return following, extended
 
 
-def is_collinear(before: Extension, after: Extension, selected: Sequence[SelectedCause]) -> bool:
-    """Whether the last of the selected, a function without a name, is nearly taken back by the other causes.
+def is_collinear(before: Extension, after: Extension) -> bool:
+    """Whether the last cause in a law, a function without a name, is nearly taken back by the other causes.
 
     `before` is the extension without it, `after` that with it. Sizes of such causes would be anything, and
     nothing would tell how much of the function is real.
     """
-    if len(law_causes(selected)) < 2:
+    if len(after.causes) < 2:
         return False
-    problem, fit, _ = after
-    linearized, slopes = problem.linearize_causes(fit)
-    number = len(selected[-1].start)
+    fit, number = after.fit, len(after.causes[-1].start)
+    linearized, slopes = after.problem.linearize_causes(fit)
     function = slopes[:, len(fit.values) - number :] @ fit.values[len(fit.values) - number :]
-    added = linearized.whiten(before[1].residual - fit.residual)
+    added = linearized.whiten(before.fit.residual - fit.residual)
     return float(added @ added) < MIN_ADDED * float(function @ function)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -155,12 +156,27 @@ def assess_residuals(
     return replace(misfit, failed=candidates.failed)
 
 
-Extension = tuple[DiagnosisProblem, ExtendedFit, LinearizedFit]
-"""A problem with causes in its laws: noise re-estimated, the fit, and its residuals."""
+@dataclass(frozen=True, eq=False)
+class Extension:
+    """A problem with causes in its laws, the noise re-estimated, and the fit."""
+
+    problem: DiagnosisProblem
+    fit: ExtendedFit
+    causes: tuple[SelectedCause, ...] = ()
+
+    @cached_property
+    def linearized(self) -> LinearizedFit:
+        """What the laws leave, other forms that the causes may have counting as known."""
+        return linearize_with_causes(self.problem, self.fit, self.causes)
+
+    @cached_property
+    def plain(self) -> LinearizedFit:
+        """What the laws leave, in the form that was fitted."""
+        return self.problem.linearize_extended(self.fit)
 
 
 def extend_problem(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> Extension:
-    """The problem with causes in its laws: noise re-estimated, the fit, and its residuals."""
+    """The problem with causes in its laws, the noise re-estimated, and the fit."""
     causes = law_causes(selected)
     start = np.concatenate([np.zeros(0), *(one.start for one in causes)])
     versions = [one.version for one in causes]
@@ -177,7 +193,7 @@ def extend_problem(problem: DiagnosisProblem, selected: Sequence[SelectedCause])
     problem = problem.with_noise(noise)
     if problem.autocorrelation is not None:  # the noise of a signal changes much once its cause is in the law
         fit = problem.fit_extended(versions, fit.values)
-    return problem, fit, linearize_with_causes(problem, fit, causes)
+    return Extension(problem, fit, tuple(causes))
 
 
 def try_extension(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> Extension | None:
@@ -259,7 +275,7 @@ def absorb_unknown(extension: Extension, selected: Sequence[SelectedCause]) -> L
     A proposal is a guess at a form: whatever else follows the same carriers is no second finding. Nor is what
     a wave's harmonics have beside them, as its shape slowly changes.
     """
-    linearized = extension[-1]
+    linearized = extension.linearized
     unknown = [one for one in law_causes(selected) if one.cause == UNKNOWN]
     periods = [one.version.period for one in law_causes(selected) if isinstance(one.version, PeriodicTime)]
     effects = [_unknown_forms(linearized, one) for one in unknown]

@@ -29,8 +29,6 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 # Nats of a cause that is refitted before one is named, and the share of the largest evidence that it has.
 MIN_REFIT_LOG_BAYES_FACTOR, MIN_REFIT_SHARE = 10.0, 0.3
 INSIDE_SET = 0.99  # of the nats within which causes make up a set
-Law = tuple[DiagnosisProblem, ExtendedFit]
-"""A problem and a fit of its laws with causes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +41,8 @@ class Refits:
         With their evidence after the refit.
     starts : dict of str to array
         Values of their parameters then.
-    extensions : dict of str to (DiagnosisProblem, ExtendedFit, LinearizedFit)
-        As of `extend_problem`, where the noise was re-estimated as well.
+    extensions : dict of str to Extension
+        Where the noise was re-estimated as well.
     failed : tuple of str
         Causes whose fit failed; the test no longer has them.
     """
@@ -58,7 +56,7 @@ class Refits:
         """The one with the last of some selected causes, if a refit of it in this form was extended."""
         known = self.extensions.get(selected[-1].cause)
         n_values = sum(len(one.start) for one in law_causes(selected))
-        return known if known is not None and len(known[1].values) == n_values else None
+        return known if known is not None and len(known.fit.values) == n_values else None
 
 
 def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause], misfit: Misfit) -> Refits:
@@ -106,13 +104,10 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
                 failed.append(cause)
                 continue
             extensions[cause] = extension
-            of_moments[cause] = price_moments(extension[1])
+            of_moments[cause] = price_moments(extension.fit)
     if extensions:
-        noises = [extended for extended, _, _ in extensions.values()]
-        likelihoods = {
-            cause: penalised_likelihood(extended, fit, *noises)
-            for cause, (extended, fit, _) in extensions.items()
-        }
+        noises = [one.problem for one in extensions.values()]
+        likelihoods = {cause: penalised_likelihood(one, *noises) for cause, one in extensions.items()}
         highest, best = max(evidence[cause] for cause in likelihoods), max(likelihoods.values())
         # A moment where something else changes, too, is one of fewer: its price alone excludes no cause.
         inside = best - INSIDE_SET * CAUSE_SET_LOG_BAYES_FACTOR
@@ -139,10 +134,8 @@ def _compare_sessions(
         return evidence, ()
     best = max(residuals, key=evidence.__getitem__)
     if best in extensions:  # in the noise that it leaves
-        noise = extensions[best][0]
-        residuals = {
-            cause: noise.linearize_extended(fit).residual for cause, (_, fit, _) in extensions.items()
-        }
+        noise = extensions[best].problem
+        residuals = {cause: noise.linearize_extended(one.fit).residual for cause, one in extensions.items()}
     session = pd.factorize(problem.rows["session"].astype(object))[0]
     ahead = {cause: evidence[best] - evidence[cause] for cause in residuals}
     limited = {
@@ -156,7 +149,7 @@ def _compare_sessions(
     return evidence | {cause: evidence[best] - limited[cause] for cause in inconsistent}, inconsistent
 
 
-def penalised_likelihood(problem: DiagnosisProblem, fit: ExtendedFit, *others: DiagnosisProblem) -> float:
+def penalised_likelihood(law: Extension, *others: DiagnosisProblem) -> float:
     """Log likelihood of laws with causes, less what the Bayesian information criterion takes.
 
     It counts the causes' parameters, of those with a prior only what the data determine, and a moment of
@@ -164,6 +157,7 @@ def penalised_likelihood(problem: DiagnosisProblem, fit: ExtendedFit, *others: D
     63:22, 2007). The coefficients of the noise are no part of the law. The noise of a sampled signal is known
     less closely than laws differ: of its own and that of `others`, the likeliest counts.
     """
+    problem, fit = law.problem, law.fit
     determined = 1.0 - np.diag(fit.covariance) / fit.prior_sd**2
     price = 0.5 * float(np.sum(determined)) * float(np.log(len(problem)))
     if problem.autocorrelation is None:
@@ -173,9 +167,9 @@ def penalised_likelihood(problem: DiagnosisProblem, fit: ExtendedFit, *others: D
     return likelihood - price - price_moments(fit)
 
 
-def advantage(one: Law, other: Law) -> float:
+def advantage(one: Extension, other: Extension) -> float:
     """By how many nats the first of two laws of the same rows is likelier, both penalised."""
-    return penalised_likelihood(*one, other[0]) - penalised_likelihood(*other, one[0])
+    return penalised_likelihood(one, other.problem) - penalised_likelihood(other, one.problem)
 
 
 def _profile_likelihood(noise: DiagnosisProblem, fit: ExtendedFit) -> float:

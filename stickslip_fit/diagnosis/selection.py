@@ -46,7 +46,6 @@ from stickslip_fit.diagnosis.extension import (
     explain_unevenness,
     extend_problem,
     law_causes,
-    linearize_with_causes,
     make_selected,
     name_explained,
     try_extension,
@@ -210,10 +209,10 @@ def _select(
     )
     del effects  # as large as all hypotheses
     p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
-    search = _ForwardSelection((problem, problem.fit_extended(), linearized), first, alpha, n_bootstrap, rng)
+    search = _ForwardSelection(Extension(problem, problem.fit_extended()), first, alpha, n_bootstrap, rng)
     search.add_causes()
     search.drop_needless(first.critical_value(search.level))
-    problem, fit, linearized = search.extension
+    problem, fit, linearized = search.extension.problem, search.extension.fit, search.extension.linearized
     selected = (*misfires, *name_combinations(search.selected, search.combinations))
     results = first, search.last, p_value, fit, linearized
     return Selection(problem, outliers, selected, *results, tuple(sorted(search.failed)), search.influential)
@@ -245,7 +244,9 @@ class _ForwardSelection:
     def assess(self, extension: Extension, selected: Sequence[SelectedCause]) -> Misfit:
         """The test of the laws with some causes."""
         searched, names = absorb_unknown(extension, selected), name_explained(selected)
-        return assess_residuals(searched, extension[0], self.n_bootstrap, self.rng, names, MAX_EXCEEDANCES)
+        return assess_residuals(
+            searched, extension.problem, self.n_bootstrap, self.rng, names, MAX_EXCEEDANCES
+        )
 
     def assess_in_less_noise(
         self, extension: Extension, selected: Sequence[SelectedCause]
@@ -265,7 +266,7 @@ class _ForwardSelection:
     def add_covered(self) -> bool:
         """Add a cause that other forms of the selected ones cover in the last test; whether there is one."""
         nothing_left = self.last.p_value >= self.level
-        found = find_covered(self.extension, self.selected, self.level) if nothing_left else None
+        found = find_covered(self.extension, self.level) if nothing_left else None
         if found is None:
             return False
         self.selected, extension = revise_causes(found[1], [*self.selected, found[0]], self.rng, n_last=1)
@@ -274,7 +275,7 @@ class _ForwardSelection:
 
     def add_cause(self) -> bool:
         """Add the cause that the last test shows; whether others may follow."""
-        problem = self.extension[0]
+        problem = self.extension.problem
         refits = refit_likeliest(problem, self.selected, self.last)
         self.last = refits.misfit
         self.failed.update(refits.failed)
@@ -286,7 +287,7 @@ class _ForwardSelection:
         is_part = getattr(chosen[-1].version, "is_restricted", False)  # of which no refit was made
         extension = None if is_part else refits.extension_with(chosen)
         extension = extension or extend_problem(problem, chosen)
-        if chosen[-1].cause == UNKNOWN and is_collinear(self.extension, extension, chosen):
+        if chosen[-1].cause == UNKNOWN and is_collinear(self.extension, extension):
             self.selected = [*chosen[:-1], replace(chosen[-1], version=None, start=np.zeros(0))]
             return False
         if self.selected and chosen[-1].cause != UNKNOWN:
@@ -309,7 +310,7 @@ class _ForwardSelection:
 
     def choose_cause(self, refits: Refits, searched: LinearizedFit) -> list[SelectedCause]:
         """The selected causes and the next one; unknown structure with a law for it where there is one."""
-        problem, last, ahead_of_pairs = self.extension[0], self.last, np.inf
+        problem, last, ahead_of_pairs = self.extension.problem, self.last, np.inf
         following = make_selected(last, form_cause_set(last), refits.starts)
         single = find_in_part(problem, searched, last, following.cause)
         if single.found is not None:
@@ -338,7 +339,7 @@ class _ForwardSelection:
     ) -> list[SelectedCause]:
         """A cause in the place of unknown structure that would end the search, if likelier beside such."""
         *others, unknown = chosen
-        beside = find_beside_unknown(self.extension[0], searched, unknown, self.level)
+        beside = find_beside_unknown(self.extension.problem, searched, unknown, self.level)
         if beside.found is not None:
             self.combinations.append((beside.found.first.cause, *beside.found.others))
             return [*others, beside.found.first]
@@ -364,8 +365,7 @@ class _ForwardSelection:
     def drop_needless(self, most: float) -> None:
         """Drop causes without which nothing is found, and the law is less likely by at most `most` nats."""
         while len(self.selected) > 1 and self.last.p_value >= self.level:
-            problem, fit, _ = self.extension
-            for others, extension in find_needless(problem, self.selected, fit, most):
+            for others, extension in find_needless(self.extension, self.selected, most):
                 if (without := self.assess(extension, others)).p_value >= self.level:
                     self.selected, self.extension, self.last = others, extension, without
                     break
@@ -385,7 +385,8 @@ def widen_selection(selection: Selection, causes: Sequence[Any], alpha: float) -
         return None
     known = {one.name for one in problem.causes}
     more = [one for one in causes if one.name not in known]
-    searched = absorb_unknown((problem, selection.fit, selection.linearized), selection.selected)
+    extension = Extension(problem, selection.fit, tuple(selection.law_causes))
+    searched = absorb_unknown(extension, selection.selected)
     beside = add_candidates(last.hypotheses, searched, compute_finite_effects(searched, more))
     either = [one for one in causes if one.name not in known - names]
     alone = add_candidates((), baseline, compute_finite_effects(baseline, either)).log_evidence_by_cause
@@ -513,7 +514,8 @@ def settle_noise(selection: Selection) -> Selection:
 def refit_selection(selection: Selection, selected: tuple[SelectedCause, ...]) -> Selection:
     """The selection with other causes, its noise, fit and residuals those of the law with them."""
     if law_causes(selected):
-        problem, fit, linearized = extend_problem(selection.problem, selected)
+        extension = extend_problem(selection.problem, selected)
+        problem, fit, linearized = extension.problem, extension.fit, extension.linearized
     else:
         problem, linearized, _ = _reestimate_noise(selection.problem)
         fit = problem.fit_extended()
@@ -568,14 +570,14 @@ def _reduce_noise(
 
     In larger noise the law for that structure would be too smooth.
     """
-    problem, fit, _ = extension
+    problem = extension.problem
     noise, _ = _estimate_noise_left(problem, absorb_unknown(extension, selected), misfit)
     # Which rows are noisy, residuals tell that structure followed as far as it could: no new weights.
     quieter = replace(problem, repeatability=noise.sd)
     is_same = rms(quieter.scale) > MAX_NOISE_LEFT * rms(problem.scale)
     if problem.autocorrelation is not None or is_same or noise.df.sum() < MIN_DF:
         return None
-    return quieter, fit, linearize_with_causes(quieter, fit, law_causes(selected))
+    return replace(extension, problem=quieter)
 
 
 def predict_departures(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> Array:

@@ -19,6 +19,7 @@ import numpy as np
 from stickslip_fit.causes.periodic import PeriodicTime
 from stickslip_fit.causes.table_terms import SmoothTableTerm
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation
+from stickslip_fit.diagnosis.extension import Extension
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.refits import penalised_likelihood
 from stickslip_fit.diagnosis.result import Diagnosis
@@ -72,4 +73,4 @@ def _likelihood(selection: Selection) -> float:
     problem = replace(problem, repeatability=size * problem.repeatability)
     assert problem.autocorrelation is not None
     price = 0.5 * problem.autocorrelation.n_free * float(np.log(len(problem)))
-    return penalised_likelihood(problem, fit) - price
+    return penalised_likelihood(Extension(problem, fit)) - price

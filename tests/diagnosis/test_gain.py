@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from stickslip_fit.causes import Wear, library
-from stickslip_fit.diagnosis import diagnose, gain
-from stickslip_fit.diagnosis import selection as selection_module
+from stickslip_fit.diagnosis import combinations, diagnose, gain
 from stickslip_fit.diagnosis.alternatives import build_unstructured_alternatives
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.cross_validation import (
@@ -132,11 +131,14 @@ def test_a_cause_that_is_selected_again_in_another_version_is_fitted_in_that(pro
     own_problem = problem(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
     other, _ = next(iter(Wear().trials(own_problem.rows)))
 
-    def revise(problem, causes, rng):
+    def select_again(problem, causes, place, rng):
         """The first one with two parameters where it had one."""
-        return [replace(causes[0], version=other, start=np.array(other.start_values)), *causes[1:]]
+        if place:
+            return None
+        return replace(causes[0], version=other, start=np.array(other.start_values))
 
-    monkeypatch.setattr(selection_module, "revise_causes", revise)
+    monkeypatch.setattr(combinations, "_select_again", select_again)
+    monkeypatch.setattr(combinations, "advantage", lambda *_: 0.0)
     found = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())
     numbers = [len(one.version.parameters) for one in found.law_causes]
     assert len(numbers) >= 2
@@ -411,7 +413,8 @@ def forced(own_problem, rng):
     shape = misfit.best_hypothesis(cause_set.cause)
     start = np.array(shape.version.null_values) if shape.values is None else shape.values
     found = SelectedCause(cause_set.cause, shape.version, start, cause_set, misfit, 1.0)
-    problem, fit, left = extend_problem(own_problem, [found])
+    extension = extend_problem(own_problem, [found])
+    problem, fit, left = extension.problem, extension.fit, extension.linearized
     return Selection(problem, np.zeros(0, np.intp), (found,), misfit, misfit, 1.0, fit, left)
 
 

@@ -32,7 +32,8 @@ def extend(hidden, name, joints=(1, 2, 3)):
     """The problem with one of its causes in the laws, and what that leaves."""
     problem, _ = problem_from_log(read_hidden(hidden, joints), None, None)
     misfit = compute_evidence(problem.linearize(), problem)
-    extended, _, linearized = extend_problem(problem, [make_selected(misfit, form_cause_set(misfit, name))])
+    extension = extend_problem(problem, [make_selected(misfit, form_cause_set(misfit, name))])
+    extended, linearized = extension.problem, extension.linearized
     return extended, linearized
 
 
@@ -105,7 +106,8 @@ def test_which_forms_of_a_cause_count_as_known_is_no_matter_of_rounding():
     problem, _ = problem_from_log(read_hidden(hide("session", ("drift",), 20, seed=4)), causes)
     misfit = compute_evidence(problem.linearize(), problem)
     selected = make_selected(misfit, form_cause_set(misfit, "drift"))
-    extended, fit, _ = extend_problem(problem, [selected])
+    extension = extend_problem(problem, [selected])
+    extended, fit = extension.problem, extension.fit
     plain = extended.linearize_extended(fit)
 
     def shake(shape):

@@ -53,11 +53,11 @@ def test_a_cause_without_which_the_law_is_as_likely_is_needless():
     problem, _ = problem_from_log(log, causes)
     misfit = compute_evidence(problem.linearize(), problem)
     selected = [make_selected(misfit, form_cause_set(misfit, name)) for name in ("drift", "side-load")]
-    _, whole, _ = extend_problem(problem, selected)
-    ((others, (_, fit, _)),) = find_needless(problem, selected, whole, most=5.0)
+    whole = extend_problem(problem, selected)
+    ((others, without),) = find_needless(whole, selected, most=5.0)
     assert [one.cause for one in others] == ["drift"]
-    assert len(fit.values) == 1
-    assert len(find_needless(problem, selected, whole, most=1e6)) == len(selected)
+    assert len(without.fit.values) == 1
+    assert len(find_needless(whole, selected, most=1e6)) == len(selected)
 
 
 @pytest.mark.parametrize("took_its_place", [False, True])
@@ -69,7 +69,7 @@ def test_of_two_causes_that_took_each_other_s_place_neither_is_told_from_the_oth
     one = make_selected(misfit, form_cause_set(misfit, "side-load"))
     if took_its_place:
         one = replace(one, cause_set=one.cause_set.with_rivals(["drift"]))
-    (revised,) = revise_causes(problem, [one], np.random.default_rng(0))
+    (revised,), _ = revise_causes(extend_problem(problem, [one]), [one], np.random.default_rng(0))
     assert revised.cause == "drift"
     assert revised.cause_set.rivals == (("side-load",) if took_its_place else ())
 
