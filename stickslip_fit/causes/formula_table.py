@@ -24,6 +24,10 @@ MAX_PARAMETERS = 8
 MAX_NAMES_SHOWN = 40
 MAX_EFFECT = 30.0  # of the scatter about the law, in trials of what is not linear in any parameter
 MIN_SCATTER = 1e-6  # of the response's standard deviation; less is rounding
+# Stages of what is added, with those in which causes of the law change what it adds.
+_BESIDE: dict[Stage, tuple[Stage, ...]] = {
+    stage: ("column", "measurement", "factor") for stage in ("term", "measurement")
+}
 _STAGES: dict[str, Stage] = {"+": "term", "*": "factor", "=": "column"}
 
 
@@ -68,7 +72,7 @@ class FormulaTableCause(FormulaTrials, TableCause):
     ) -> Array:
         """See `Cause.changes`; a row hangs on its own level alone, so that all levels are tried at once."""
         if len(self.levels) == 1:
-            return super().changes(law, rows, values, trials)
+            return self._changes_at_once(law, rows, values, trials)
         by_level = trials.reshape(len(trials), len(self.order), len(self.levels))
         packed = np.tile(np.array(self.null_values), (len(trials), 1)).reshape(by_level.shape)
         place_of, number = np.zeros((len(self.levels), len(trials)), dtype=np.intp), 0
@@ -76,9 +80,32 @@ class FormulaTableCause(FormulaTrials, TableCause):
             own, place_of[level] = np.unique(by_level[:, :, level], axis=0, return_inverse=True)
             packed[: len(own), :, level] = own
             number = max(number, len(own))
-        changes = super().changes(law, rows, values, packed[:number].reshape(number, -1))
+        changes = self._changes_at_once(law, rows, values, packed[:number].reshape(number, -1))
         places, _ = self.own_places(rows[self.source.by], len(values))
         return np.take_along_axis(changes, place_of[places[:, 0]], axis=1)
+
+    def _changes_at_once(
+        self, law: TableLaw | ExtendedTableLaw, rows: Rows, values: Array, trials: Array
+    ) -> Array:
+        """Of what is added, the formula's value, without the derivatives that the law's model has."""
+        base, others = (law.law, law.causes) if isinstance(law, ExtendedTableLaw) else (law, ())
+        stage = self.stage_in(base.response_name)
+        if stage not in _BESIDE or any(one.stage_in(base.response_name) in _BESIDE[stage] for one in others):
+            return super().changes(law, rows, values, trials)
+        n, names = len(values), self.source.effect.names
+        known = dict(zip(base.parameter_names, values.T, strict=False))
+        if base.response_name in names:
+            known[base.response_name] = law.predict(rows, values)
+        own = [name for name in names if name not in known and name not in self.order]
+        known |= {name: number_column(rows, name) for name in own}
+        places, inside = self.own_places(rows[self.source.by] if self.source.by else None, n)
+        null, changes = np.array(self.null_values), np.zeros((n, len(trials)))
+        for k, trial in enumerate(trials):
+            if np.any(trial != null):
+                tried = np.where(inside[:, None], trial[places], null[places])
+                effect = self.source.effect.evaluate(known | dict(zip(self.order, tried.T, strict=True)))
+                changes[:, k] = np.broadcast_to(effect, (n,))
+        return changes
 
 
 def bind_formula_to_table(
