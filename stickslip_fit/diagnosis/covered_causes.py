@@ -3,9 +3,9 @@
 What selected causes leave is tested without what their other forms describe, since the form that was fitted
 may not be the true one (`extension.alternative_forms`). A second effect that resembles these would never
 show: of a body that falls in air, the camera's distortion bends the curve much as another kind of drag does.
-So where such forms take up more of the residuals than of noise, each cause is weighed against them, as
-against any other structure without a name. The other way round, a function without a name may be all but
-covered by the causes: it would only undo what they say.
+So where such forms take up more of the residuals than of noise, each cause is weighed against them. The
+other way round, a function without a name may be all but covered by the causes: it would only undo what they
+say.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from stickslip_fit._typing import Array
-from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR, form_cause_set
 from stickslip_fit.diagnosis.extension import (
     Extension,
     SelectedCause,
@@ -38,10 +38,11 @@ MIN_ADDED = 0.1
 
 
 def find_covered(extension: Extension, level: float) -> tuple[SelectedCause, Extension] | None:
-    """A cause that explains what other forms of the selected ones take up, and better, with the law with it.
+    """A cause that explains what other forms of the selected ones take up, and the law with it.
 
-    The forms have to take up more than of noise at `level` (an F test); the cause has to be likelier than
-    they are, and the law with it likelier by the logarithm of the number of causes over `level`.
+    The forms have to take up more than of noise at `level` (an F test). The cause has to be likelier than
+    any other structure without a name, nearly as likely as they are or more, and the law with it likelier by
+    the logarithm of the number of causes over `level`.
     """
     problem, plain, without_forms = extension.problem, extension.plain, extension.linearized
     selected = extension.causes
@@ -49,17 +50,17 @@ def find_covered(extension: Extension, level: float) -> tuple[SelectedCause, Ext
         return None
     if not _take_up_structure(plain, without_forms, level):
         return None
-    forms = [
-        make_hypothesis(
-            f"{UNKNOWN}:form of {one.cause}", None, None, plain.project(alternative_forms(plain, one))
-        )
-        for one in selected
-    ]
     test = compute_evidence(plain, problem, name_explained(selected))
-    test = add_candidates([*test.hypotheses, *(one for one in forms if one is not None)], plain, ())
     refits = refit_likeliest(problem, selected, test)
     following = make_selected(refits.misfit, form_cause_set(refits.misfit), refits.starts)
     if following.cause == UNKNOWN:
+        return None
+    forms = [
+        make_hypothesis(UNKNOWN, None, None, plain.project(alternative_forms(plain, one))) for one in selected
+    ]
+    of_forms = add_candidates([one for one in forms if one is not None], plain, ()).log_evidence
+    least = float(of_forms.max(initial=-np.inf)) - CAUSE_SET_LOG_BAYES_FACTOR
+    if following.test.log_evidence_by_cause[following.cause] < least:
         return None
     shape = following.test.best_hypothesis(following.cause)
     if not isinstance(shape, Hypothesis) or _share_covered(shape, plain, without_forms) < MIN_COVERED:
