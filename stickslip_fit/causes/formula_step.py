@@ -70,7 +70,7 @@ class FormulaStepCause(FormulaTrials):
                 known[name] = step_size
             elif name not in known:
                 known[name] = quantity(state, name)
-        return np.atleast_2d(self.source.effect.evaluate(known))
+        return np.atleast_2d(self.limited.evaluate(known))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,7 +200,7 @@ class _LogTrialSearch(TrialSearch):
     def evaluate(self, order: Sequence[str], values: Array) -> tuple[Array, Array]:
         """See `TrialSearch`; rows without a quantity are left out."""
         effects, slopes = [], []
-        function = self.cause.effect.function(tuple(order))
+        function = self.limited.function(tuple(order))
         for state, step in self._middles:
             known = dict(zip(order, np.reshape(values, (-1, 1, 1)), strict=True))
             for name in self.cause.names:

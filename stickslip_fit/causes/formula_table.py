@@ -52,7 +52,7 @@ class FormulaTableCause(FormulaTrials, TableCause):
         outer = [name for name in effect.names if name in variable]
         fixed = [name for name in effect.names if name not in self.order and name not in variable]
         columns = {name: number_column(rows, name) for name in fixed}
-        function = effect.function((*self.order, *outer))
+        function = self.limited.function((*self.order, *outer))
         places, inside = self.own_places(rows[self.source.by] if self.source.by else None, n)
         null = np.array(self.null_values)[places]
 
@@ -103,7 +103,7 @@ class FormulaTableCause(FormulaTrials, TableCause):
         for k, trial in enumerate(trials):
             if np.any(trial != null):
                 tried = np.where(inside[:, None], trial[places], null[places])
-                effect = self.source.effect.evaluate(known | dict(zip(self.order, tried.T, strict=True)))
+                effect = self.limited.evaluate(known | dict(zip(self.order, tried.T, strict=True)))
                 changes[:, k] = np.broadcast_to(effect, (n,))
         return changes
 
@@ -199,7 +199,7 @@ class _TableTrialSearch(TrialSearch):
         for name in self.cause.names:
             if name not in known:
                 known[name] = number_column(self.frame, name)
-        value, slopes = self.cause.effect.function(tuple(order))(known)
+        value, slopes = self.limited.function(tuple(order))(known)
         return np.broadcast_to(value, (n,)), np.broadcast_to(slopes, (n, len(order)))
 
     def moderate(self, order: Sequence[str], places: Sequence[Place]) -> list[Place]:

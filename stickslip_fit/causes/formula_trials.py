@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations, product
 from math import isfinite, prod
 from operator import attrgetter
@@ -24,6 +25,7 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.cause_formula import CauseFormula
 from stickslip_fit.causes.parameters import CauseParameter
+from stickslip_fit.causes.zero_limit import ZeroLimit
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws.table_start import is_linear, spread
 from stickslip_fit.units import to_si
@@ -34,7 +36,7 @@ NUMBER_OF_PLACES, MAX_PLACES = {0: 1, 1: 9, 2: 7, 3: 4}, 150
 MIN_SHARED = 0.25
 MAX_LEVELS = 100  # values of a column with parameters of their own
 STATE_FACTORS = (1.0, 10.0, -10.0)
-NULL_TOL = 1e-9
+NULL_TOL, LIMIT_TOL = 1e-9, 1e-4  # of an effect's size; of a limit, which is extrapolated
 _PHRASES = {
     "+": "the law lacks {}",
     "*": "the law is off by the factor {}",
@@ -71,6 +73,12 @@ class FormulaTrials(Cause):
     columns: tuple[str, ...]  # type: ignore[misc]
     sizes: tuple[tuple[Place, Place], ...] = ()
     unresolved: tuple[str, ...] = ()
+
+    @cached_property
+    def limited(self) -> ZeroLimit:
+        """The formula's effect, with its limit where all parameters are 0."""
+        scale = [abs(one) or 1.0 for one in self.scale[:: len(self.levels)]]
+        return ZeroLimit(self.source.effect, dict(zip(self.order, scale, strict=True)))
 
     name = property(attrgetter("source.name"))
     physics = property(attrgetter("source.physics"))
@@ -229,10 +237,16 @@ class TrialSearch(ABC):
 
         without, places = evaluate(start)[0], list(range(len(some)))
         if not some and not np.isfinite(without).all():
-            raise self.error(f"its effect is no number in row {first_row(~np.isfinite(without))}")
+            row = first_row(~np.isfinite(without))
+            raise self.error(f"its effect is no number in row {row}, with {' = '.join(others)} = 0")
         absent, size = self.absent()
-        vanishes = bool(np.all(np.abs(without - absent) <= NULL_TOL * size))
+        vanishes = bool(np.all(np.abs(without - absent) <= (NULL_TOL if some else LIMIT_TOL) * size))
         return vanishes and (not some or is_linear(evaluate, start, places))
+
+    @cached_property
+    def limited(self) -> ZeroLimit:
+        """The formula's effect, with its limit where all parameters are 0."""
+        return ZeroLimit(self.cause.effect, {name: abs(self._middle(name)) or 1.0 for name in self.declared})
 
     def _is_bounded(self, name: str) -> bool:
         return isfinite(self.declared[name].upper - self.declared[name].lower)

@@ -306,3 +306,38 @@ def test_a_formula_is_a_candidate_of_a_diagnosis_beside_the_librarys():
     problem, missing = problem_from_log(log, causes=(*ssf.causes.library(), cable))
     assert "cable" in {cause.name for cause in problem.causes}
     assert "cable" not in missing
+
+
+def relaxation(t, rate):
+    """(1 - exp(-rate t)) / rate - t, which without a rate is 0 / 0, and then is none."""
+    return (1.0 - np.exp(-rate * t)) / rate - t
+
+
+@pytest.mark.parametrize("formula", [relaxation, "+ (1 - exp(-rate*t))/rate - t"])
+def test_a_formula_that_is_0_by_0_without_its_parameter_has_its_limit_there(formula, frame, law):
+    bound = ssf.Cause("relaxation", formula, "rate in 1/s", bounds={"rate": (0, 2)}).bind_table(law, frame)
+    extended = bound.extend(law)
+    values = np.append(BASE, 0.0)
+    predicted, slopes = extended.model(frame)(values)
+    size = float(np.abs(extended.predict(frame, np.append(BASE, 1.0)) - law.predict(frame, BASE)).max())
+    np.testing.assert_allclose(predicted, law.predict(frame, BASE), atol=1e-5 * size)
+    np.testing.assert_allclose(slopes[:, -1], -(frame["t"] ** 2) / 2, rtol=0.02, atol=0.1)  # by its series
+
+
+def test_a_formula_that_has_no_limit_without_its_parameter_is_refused(frame, law):
+    cause = ssf.Cause("pole", "+ exp(-t)/rate", "rate in 1/s", bounds={"rate": (0, 2)})
+    with pytest.raises(InputError, match="with its parameters at 0 it still has an effect"):
+        cause.bind_table(law, frame)
+
+
+def test_a_fit_that_reaches_0_leaves_it_again(frame):
+    """Below 1e-6 the function is its limit, without a derivative: a fit from 0 would stay there."""
+
+    def guarded(vel, k):
+        return np.where(np.abs(k) < 1e-6, 0.0, np.expm1(k * vel))
+
+    cause = ssf.Cause("bend", guarded, "k in 1", bounds={"k": (0.0, 1.0)})
+    bound = cause.bind_table(Law(MOTOR).bind_table(frame), frame)
+    values = np.append(BASE, 0.0)
+    slopes = bound.extend(Law(MOTOR).bind_table(frame)).model(frame)(values)[1]
+    np.testing.assert_allclose(slopes[:, -1], frame["vel"], rtol=0.01)
