@@ -10,6 +10,8 @@ say.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.special import fdtrc
 
@@ -48,7 +50,8 @@ def find_covered(extension: Extension, level: float) -> tuple[SelectedCause, Ext
     selected = extension.causes
     if any(one.cause == UNKNOWN for one in selected):
         return None
-    if not _take_up_structure(plain, without_forms, level):
+    p_value = _test_forms(plain, without_forms)
+    if not p_value < level:
         return None
     test = compute_evidence(plain, problem, name_explained(selected))
     refits = refit_likeliest(problem, selected, test)
@@ -69,10 +72,13 @@ def find_covered(extension: Extension, level: float) -> tuple[SelectedCause, Ext
         return None
     both = [*selected, following]
     extended = refits.extension_with(both) or try_extension(problem, both)
-    margin = float(np.log(len(test.log_evidence_by_cause) / level))
-    if extended is None or advantage(extended, extension) < margin:
+    if extended is None:
         return None
-    return following, extended
+    # Of a likelihood ratio K of one among so many causes the chance is at most their number over K.
+    chance = len(test.log_evidence_by_cause) * float(np.exp(-max(advantage(extended, extension), 0.0)))
+    if chance >= level:
+        return None
+    return replace(following, p_value=max(p_value, chance)), extended
 
 
 def is_collinear(before: Extension, after: Extension) -> bool:
@@ -90,15 +96,15 @@ def is_collinear(before: Extension, after: Extension) -> bool:
     return float(added @ added) < MIN_ADDED * float(function @ function)
 
 
-def _take_up_structure(plain: LinearizedFit, without_forms: LinearizedFit, level: float) -> bool:
-    """Whether forms that are projected out take up more of the residuals than of noise."""
+def _test_forms(plain: LinearizedFit, without_forms: LinearizedFit) -> float:
+    """p-value of the F test that forms which are projected out take up no more than noise."""
     number = without_forms.basis.shape[1] - plain.basis.shape[1]
     left = float(np.sum(without_forms.residual**2))
     taken = float(np.sum(plain.residual**2)) - left
     if not number or without_forms.df < 1 or left <= 0:
-        return False
+        return 1.0
     ratio = max(taken, 0.0) / number / (left / without_forms.df)
-    return bool(fdtrc(number, without_forms.df, ratio) < level)
+    return float(fdtrc(number, without_forms.df, ratio))
 
 
 def _share_covered(shape: Hypothesis, plain: LinearizedFit, without_forms: LinearizedFit) -> float:
