@@ -18,6 +18,7 @@ from stickslip_fit.laws import Rows
 from stickslip_fit.units import Z_95, Interval, TableUnit
 
 MAX_PERIODS, MIN_VALUES_PER_PERIOD = 60, 5.0
+MIN_PERIODS = 2.0  # in the range: less than that repeats nothing, and looks like any bend
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +46,11 @@ class PeriodicPosition(CovariateCause, AddedTerm):
         return {**super().quantities(sizes), "column": self.column, "period": self.period}
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `GenericCause`: periods between the range and the spacing of positions, even in frequency."""
+        """See `GenericCause`: periods that repeat, down to the spacing of positions, even in frequency."""
         position = rows[self.column].to_numpy(float)
         extent = float(np.ptp(position))
         finest = min(len(np.unique(position)) / MIN_VALUES_PER_PERIOD, MAX_PERIODS / 2)
-        periods = extent / np.arange(1.0, max(finest, 1.0) + 0.25, 0.5)
+        periods = extent / np.arange(MIN_PERIODS, max(finest, MIN_PERIODS) + 0.25, 0.5)
         return [(replace(self, period=float(period)), self.size * np.eye(2)) for period in periods]
 
     def term(self, rows: Rows) -> Term:
