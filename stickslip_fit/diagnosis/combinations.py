@@ -22,6 +22,7 @@ from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR, form_cause_set
+from stickslip_fit.diagnosis.covered_causes import find_covered
 from stickslip_fit.diagnosis.evidence import batch_hypotheses, column_evidence, strength_evidence
 from stickslip_fit.diagnosis.extension import (
     Extension,
@@ -473,16 +474,21 @@ def name_combinations(
 
 
 def revise_causes(
-    extension: Extension, causes: Sequence[SelectedCause], rng: np.random.Generator, n_last: int = 0
+    extension: Extension,
+    causes: Sequence[SelectedCause],
+    level: float,
+    rng: np.random.Generator,
+    n_last: int = 0,
 ) -> tuple[list[SelectedCause], Extension]:
     """Each cause, and structure without a name, selected again with all the others in the law.
 
     `extension` is the law with all; so many of the last causes stay. Other forms of the others may hide a
-    cause from the test that is to select it again: what makes the law less likely does not take its place.
+    cause from the test that is to select it again; then it is looked for as in `find_covered`, at `level`.
+    What makes the law less likely does not take its place.
     """
     revised, problem = list(causes), extension.problem
     for place in range(len(causes) - n_last):
-        one = _select_again(problem, revised, place, rng)
+        one = _select_again(problem, revised, place, level, rng)
         before = revised[place]
         if one is None:
             continue
@@ -498,7 +504,11 @@ def revise_causes(
 
 
 def _select_again(
-    problem: DiagnosisProblem, causes: Sequence[SelectedCause], place: int, rng: np.random.Generator
+    problem: DiagnosisProblem,
+    causes: Sequence[SelectedCause],
+    place: int,
+    level: float,
+    rng: np.random.Generator,
 ) -> SelectedCause | None:
     """What is selected in a place with all other causes in the law; None where nothing can be."""
     before = causes[place]
@@ -513,6 +523,9 @@ def _select_again(
     misfit = compute_evidence(linearized, trial, name_explained(others))
     if not misfit.hypotheses:  # beside a proposal for the same column, of which all forms count
         return None
+    if before.cause != UNKNOWN and not misfit.rank_causes(MIN_REFIT_LOG_BAYES_FACTOR):
+        covered = find_covered(extension, level)
+        return None if covered is None else replace(covered[0], naming=before.naming or before.misfit)
     refits = refit_likeliest(trial, others, misfit)
     one = make_selected(refits.misfit, form_cause_set(refits.misfit), refits.starts)
     if one.cause == UNKNOWN:

@@ -265,11 +265,11 @@ class _ForwardSelection:
 
     def add_covered(self) -> bool:
         """Add a cause that other forms of the selected ones cover in the last test; whether there is one."""
-        nothing_left = self.last.p_value >= self.level
-        found = find_covered(self.extension, self.level) if nothing_left else None
+        found = find_covered(self.extension, self.level) if self.last.p_value >= self.level else None
         if found is None:
             return False
-        self.selected, extension = revise_causes(found[1], [*self.selected, found[0]], self.rng, n_last=1)
+        chosen = [*self.selected, found[0]]
+        self.selected, extension = revise_causes(found[1], chosen, self.level, self.rng, n_last=1)
         self.extension, self.last = self.assess_in_less_noise(extension, self.selected)
         return True
 
@@ -291,7 +291,7 @@ class _ForwardSelection:
             self.selected = [*chosen[:-1], replace(chosen[-1], version=None, start=np.zeros(0))]
             return False
         if self.selected and chosen[-1].cause != UNKNOWN:
-            chosen, extension = revise_causes(extension, chosen, self.rng)
+            chosen, extension = revise_causes(extension, chosen, self.level, self.rng)
         if _ends_search(chosen[-1], len(problem)):
             # The tests that would follow carry-over are for independent noise.
             if self.selected and not isinstance(chosen[-1].version, CarryOverTerm):

@@ -131,7 +131,7 @@ def test_a_cause_that_is_selected_again_in_another_version_is_fitted_in_that(pro
     own_problem = problem(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
     other, _ = next(iter(Wear().trials(own_problem.rows)))
 
-    def select_again(problem, causes, place, rng):
+    def select_again(problem, causes, place, level, rng):
         """The first one with two parameters where it had one."""
         if place:
             return None

@@ -69,7 +69,7 @@ def test_of_two_causes_that_took_each_other_s_place_neither_is_told_from_the_oth
     one = make_selected(misfit, form_cause_set(misfit, "side-load"))
     if took_its_place:
         one = replace(one, cause_set=one.cause_set.with_rivals(["drift"]))
-    (revised,), _ = revise_causes(extend_problem(problem, [one]), [one], np.random.default_rng(0))
+    (revised,), _ = revise_causes(extend_problem(problem, [one]), [one], 0.0075, np.random.default_rng(0))
     assert revised.cause == "drift"
     assert revised.cause_set.rivals == (("side-load",) if took_its_place else ())
 
