@@ -409,6 +409,12 @@ def find_exchange(
             likelihoods[rival] = max(likelihood, likelihoods.get(rival, -np.inf))
             if likelihood > to_beat:
                 best, to_beat = Combination(one, (second,)), likelihood
+    following = last.rank_causes(PAIR_MIN_LOG_BAYES_FACTOR)
+    if best is not None and following:  # a fit may say more of what would be added than its linear part
+        two = make_selected(last, form_cause_set(last, following[0]))
+        of_both = try_extension(problem, [*selected, two])
+        if of_both is not None and advantage(of_both, extension) > to_beat:
+            best = None
     if last.p_value < level:
         return Exchange(best)
     return Exchange(best, tuple(rival for rival in likelihoods if likelihoods[rival] > as_likely))
