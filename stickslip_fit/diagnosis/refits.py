@@ -98,7 +98,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
         if gain > 0 or one is not trial:
             starts[cause] = fit.values[len(fit.values) - len(one.start) :]
         if problem.autocorrelation is not None and len(likeliest) > 1:
-            one = replace(one, start=starts.get(cause, one.start))
+            one = replace(one, start=fit.values[len(fit.values) - len(one.start) :])
             extension = try_extension(problem, [*selected, one])
             if extension is None:
                 failed.append(cause)
