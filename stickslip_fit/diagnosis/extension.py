@@ -183,7 +183,7 @@ def extend_problem(problem: DiagnosisProblem, selected: Sequence[SelectedCause])
     problem, fit = _fit_with_departures(problem, versions, start)
     correlated = problem.with_autocorrelation(fit)
     if correlated is not problem:
-        problem, fit = correlated, correlated.fit_extended(versions, fit.values)
+        problem, fit = correlated, correlated.refit_extended(versions, fit)
     linearized = linearize_with_causes(problem, fit, causes)
     left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
     noise = problem.estimate_noise(linearized, left)
@@ -192,7 +192,7 @@ def extend_problem(problem: DiagnosisProblem, selected: Sequence[SelectedCause])
         noise = explain_unevenness(problem, linearized, misfit, left, noise)
     problem = problem.with_noise(noise)
     if problem.autocorrelation is not None:  # the noise of a signal changes much once its cause is in the law
-        fit = problem.fit_extended(versions, fit.values)
+        fit = problem.refit_extended(versions, fit)
     return Extension(problem, fit, tuple(causes))
 
 

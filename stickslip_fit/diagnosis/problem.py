@@ -250,6 +250,14 @@ class DiagnosisProblem:
         departure = (expected - self.responses) / np.where(self.spacing > 0, self.spacing, np.inf)
         return Quantization(departure, self.spacing / self.scale)
 
+    def refit_extended(self, versions: Sequence[Any], fit: ExtendedFit) -> ExtendedFit:
+        """As `fit_extended`, from a fit in other noise."""
+        near = tuple(
+            replace(part, values=fitted.values[:, : part.values.shape[1]])
+            for part, fitted in zip(self.parts, fit.parts, strict=True)
+        )
+        return replace(self, parts=near).fit_extended(versions, fit.values)
+
     def fit_extended(self, versions: Sequence[Any] = (), start: Array | None = None) -> ExtendedFit:
         """The baseline extended by causes, refitted.
 
