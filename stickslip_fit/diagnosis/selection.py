@@ -212,10 +212,10 @@ def _select(
     search = _ForwardSelection(Extension(problem, problem.fit_extended()), first, alpha, n_bootstrap, rng)
     search.add_causes()
     search.drop_needless(first.critical_value(search.level))
-    problem, fit, linearized = search.extension.problem, search.extension.fit, search.extension.linearized
     selected = (*misfires, *name_combinations(search.selected, search.combinations))
-    results = first, search.last, p_value, fit, linearized
-    return Selection(problem, outliers, selected, *results, tuple(sorted(search.failed)), search.influential)
+    results = first, search.last, p_value, search.extension.fit, search.extension.linearized
+    failed = tuple(sorted(search.failed))
+    return Selection(search.extension.problem, outliers, selected, *results, failed, search.influential)
 
 
 def _in_noise_left(problem: DiagnosisProblem) -> DiagnosisProblem:
@@ -265,8 +265,9 @@ class _ForwardSelection:
 
     def add_covered(self) -> bool:
         """Add a cause that other forms of the selected ones cover in the last test; whether there is one."""
-        found = find_covered(self.extension, self.level) if self.last.p_value >= self.level else None
-        if found is None:
+        if self.last.p_value < self.level or len(self.selected) == MAX_CAUSES:
+            return False
+        if (found := find_covered(self.extension, self.level)) is None:
             return False
         chosen = [*self.selected, found[0]]
         self.selected, extension = revise_causes(found[1], chosen, self.level, self.rng, n_last=1)
