@@ -259,9 +259,8 @@ class _ForwardSelection:
 
     def add_causes(self) -> None:
         """Add causes until nothing is left to be found."""
-        while self.last.p_value < self.level and len(self.selected) < MAX_CAUSES:
-            if not self.add_cause():
-                break
+        while self.last.p_value < self.level and len(self.selected) < MAX_CAUSES and self.add_cause():
+            pass
 
     def add_covered(self) -> bool:
         """Add a cause that other forms of the selected ones cover in the last test; whether there is one."""
