@@ -72,7 +72,7 @@ class FormulaTableCause(FormulaTrials, TableCause):
     ) -> Array:
         """See `Cause.changes`; a row hangs on its own level alone, so that all levels are tried at once."""
         if len(self.levels) == 1:
-            return self._changes_at_once(law, rows, values, trials)
+            return self._changes_without_slopes(law, rows, values, trials)
         by_level = trials.reshape(len(trials), len(self.order), len(self.levels))
         packed = np.tile(np.array(self.null_values), (len(trials), 1)).reshape(by_level.shape)
         place_of, number = np.zeros((len(self.levels), len(trials)), dtype=np.intp), 0
@@ -80,11 +80,11 @@ class FormulaTableCause(FormulaTrials, TableCause):
             own, place_of[level] = np.unique(by_level[:, :, level], axis=0, return_inverse=True)
             packed[: len(own), :, level] = own
             number = max(number, len(own))
-        changes = self._changes_at_once(law, rows, values, packed[:number].reshape(number, -1))
+        changes = self._changes_without_slopes(law, rows, values, packed[:number].reshape(number, -1))
         places, _ = self.own_places(rows[self.source.by], len(values))
         return np.take_along_axis(changes, place_of[places[:, 0]], axis=1)
 
-    def _changes_at_once(
+    def _changes_without_slopes(
         self, law: TableLaw | ExtendedTableLaw, rows: Rows, values: Array, trials: Array
     ) -> Array:
         """Of what is added, the formula's value, without the derivatives that the law's model has."""

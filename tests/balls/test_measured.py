@@ -18,7 +18,7 @@ BOUNDS = {
     "as in the benchmark": None,
     "from none": ((0.0, 1.0), (0.0, 5.0)),
     "of the usual": ((0.0, 0.2), (0.0, 2.0)),
-    "wide": ((1e-6, 1.0), (1e-6, 5.0)),
+    "from hardly any": ((1e-6, 1.0), (1e-6, 5.0)),
     "narrow": ((1e-3, 0.1), (1e-2, 1.0)),
 }
 

@@ -8,6 +8,7 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit import InputError, Law
+from stickslip_fit._function import NumericFunction
 from stickslip_fit.causes import Drift, ThermalWarmUp, ThetaOffset, restore_formula_cause
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.laws import Elbow, Prismatic
@@ -330,14 +331,26 @@ def test_a_formula_that_has_no_limit_without_its_parameter_is_refused(frame, law
         cause.bind_table(law, frame)
 
 
-def test_a_fit_that_reaches_0_leaves_it_again(frame):
+def test_a_fit_that_reaches_0_leaves_it_again():
     """Below 1e-6 the function is its limit, without a derivative: a fit from 0 would stay there."""
 
-    def guarded(vel, k):
-        return np.where(np.abs(k) < 1e-6, 0.0, np.expm1(k * vel))
+    def guarded(x, k):
+        return np.where(np.abs(k) < 1e-6, 0.0, np.expm1(k * x))
 
-    cause = ssf.Cause("bend", guarded, "k in 1", bounds={"k": (0.0, 1.0)})
-    bound = cause.bind_table(Law(MOTOR).bind_table(frame), frame)
-    values = np.append(BASE, 0.0)
-    slopes = bound.extend(Law(MOTOR).bind_table(frame)).model(frame)(values)[1]
-    np.testing.assert_allclose(slopes[:, -1], frame["vel"], rtol=0.01)
+    x, k = np.array([0.5, 1.0, 0.5, 1.0]), np.array([0.0, 0.0, 0.02, 0.02])  # of two balls
+    slopes = NumericFunction(guarded).function(("k",))({"x": x, "k": k})[1][:, 0]
+    np.testing.assert_allclose(slopes, x * np.exp(k * x), rtol=1e-4)
+
+
+@pytest.mark.parametrize("formula", ["+ a*vel**2", "+ a*F**2", "+ a*expm1(0.1*acc)*M", "* (1 + a*vel)"])
+@pytest.mark.parametrize("other", [None, "+ b*acc**2", "+ b*F**2", "* (1 + b*acc)"])
+def test_changes_are_those_of_the_extended_law(formula, other, frame, law):
+    """However the formula is evaluated, and whatever is in the law besides."""
+    cause, values = ssf.Cause("tried", formula, "a in 1").bind_table(law, frame), BASE
+    known = law
+    if other is not None:
+        known, values = ssf.Cause("known", other, "b in 1").bind_table(law, frame).extend(law), [*BASE, 0.02]
+    each = np.tile(values, (len(frame), 1))
+    (change,) = cause.changes(known, frame, each, np.array([[0.03]])).T
+    whole = cause.extend(known).predict(frame, np.append(values, 0.03)) - known.predict(frame, each)
+    np.testing.assert_allclose(change, whole, rtol=1e-9, atol=1e-12)
