@@ -108,10 +108,9 @@ def test_a_slow_group_does_not_make_the_others_work_on(problem):
     )
     assert found.iterations == whole.iterations > 20
     assert evaluated < 0.8 * without
-    # Some processors round the exponential of a row by where it stands among the others.
-    for name in ("values", "curvature", "residual"):
-        np.testing.assert_allclose(getattr(found, name), getattr(whole, name), rtol=1e-11, atol=1e-11)
-    for name in ("converged", "rank", "at_bound"):
+    # A sum of products over other rows beside it may round its last bit otherwise on some processors.
+    np.testing.assert_allclose(found.curvature, whole.curvature, rtol=1e-12)
+    for name in ("values", "residual", "converged", "rank", "at_bound"):
         assert np.array_equal(getattr(found, name), getattr(whole, name))
 
 
