@@ -90,6 +90,8 @@ class Cause(ABC):
         Whether a smooth function of its only column, whatever its form, is this cause, see `with_functions`.
     search_note : str
         What the search for it leaves out, as a sentence; empty where it leaves out nothing.
+    special_case_of : str
+        A cause whose form contains its own: no log tells such a cause from it, and the simpler one suffices.
     share_where_noise_persists : float
         How much of it counts as larger than noise whose autocorrelation is known within an error.
     """
@@ -118,6 +120,7 @@ class Cause(ABC):
     max_panel: float = np.inf
     takes_functions: ClassVar[bool] = True
     search_note: ClassVar[str] = ""
+    special_case_of: ClassVar[str] = ""
     share_where_noise_persists: ClassVar[float] = 1.0
 
     @cached_property

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._format import format_direction, join_words
+from stickslip_fit._format import capitalize_first, format_direction, join_words
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.kinds import FactorCause, StateCause, TermCause
@@ -330,7 +330,7 @@ class CableTorque(TermCause):
     Attributes
     ----------
     middle : tuple of (int, float)
-        Of the ranges of joints 1 and 2, rad.
+        Joints that it acts on, with the middle of their ranges, rad; those given stay in any log.
     """
 
     middle: tuple[tuple[int, float], ...] = ((1, 0.0), (2, -np.pi / 2))
@@ -343,7 +343,7 @@ class CableTorque(TermCause):
     )
     shows_best = "a rotary joint over short stretches at both ends of its range, in both directions"
     sentence = (
-        "Rotary steps {k:grow|shrink} by {k} along the range in direction +, and the reverse "
+        "{whose} steps {k:grow|shrink} by {k} along the range in direction +, and the reverse "
         "in −: a cable pulls"
     )
     remedy = "relieving the cable"
@@ -354,9 +354,24 @@ class CableTorque(TermCause):
     largest_sizes = ((0.1e-6 * 180 / np.pi,),)
     varies_along_traverse = True
 
+    def acts_on(self, law: StepLaw) -> bool:
+        return super().acts_on(law) and any(joint == law.joint for joint, _ in self.middle)
+
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        joints = [joint for joint in machine.joints if not machine.is_prismatic(joint)]
-        return replace(self, middle=tuple((joint, sum(machine.ranges[joint]) / 2) for joint in joints))
+        if self.middle != type(self).middle:
+            return self
+        joints = [joint for joint in sorted({*rows["joint"]}) if not machine.is_prismatic(int(joint))]
+        return replace(self, middle=tuple((int(one), sum(machine.ranges[one]) / 2) for one in joints))
+
+    def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        """See `Cause.trials`: on all rotary joints, and on each alone."""
+        alone = [replace(self, middle=(one,)) for one in self.middle] if len(self.middle) > 1 else []
+        return [(version, np.array([self.scale])) for version in (self, *alone)]
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `Cause.quantities`: whose steps they are, as the beginning of a sentence."""
+        whose = join_words([f"joint {joint}'s" for joint, _ in self.middle])
+        return {**super().quantities(sizes), "whose": capitalize_first(whose)}
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
         return values[0] * self._deflection(state)

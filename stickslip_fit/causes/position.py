@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from functools import cached_property
+from typing import ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._format import format_percent
+from stickslip_fit._format import capitalize_first, format_percent, join_words
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.base import Cause, ExtendedLaw, extend
 from stickslip_fit.causes.kinds import CountCause, FactorCause
 from stickslip_fit.causes.parameters import CauseParameter, Row, Sizes
 from stickslip_fit.laws import Configuration, ConstantStep, State, StepLaw
+from stickslip_fit.machine import Machine
 from stickslip_fit.units import PRISMATIC
 
 __all__ = [  # noqa: RUF022
@@ -30,8 +31,55 @@ __all__ = [  # noqa: RUF022
 ]
 
 
+Ranges = tuple[tuple[int, float, float], ...]
+
+
 @dataclass(frozen=True)
-class DirectionalCause(FactorCause):
+class PositionCause(FactorCause):
+    """gamma times a factor that depends on the joint's own position, and on the direction, alone.
+
+    Attributes
+    ----------
+    ranges : tuple of (int, float, float)
+        Joints that it acts on, with the ends of their ranges, rad or m; those given stay in any log.
+        Empty for all of its kind.
+    """
+
+    ranges: Ranges = ()
+
+    varies_along_traverse = True
+    special_case_of = "along-travel"
+
+    def acts_on(self, law: StepLaw) -> bool:
+        own = not self.ranges or any(joint == law.joint for joint, _, _ in self.ranges)
+        return own and super().acts_on(law)
+
+    def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
+        """See `Cause.bind`: the joints of its kind that the log has."""
+        if self.ranges != type(self).ranges:
+            return self
+        joints = sorted({int(joint) for joint in rows["joint"]})
+        own = [joint for joint in joints if machine.kinds[joint - 1] == self.kind]
+        return replace(self, ranges=tuple((joint, *machine.ranges[joint]) for joint in own))
+
+    def together_and_alone(self) -> list[Self]:
+        """On all its joints with the same parameters, and on each alone: a bearing or guide has its own."""
+        alone = [replace(self, ranges=(one,)) for one in self.ranges] if len(self.ranges) > 1 else []
+        return [self, *alone]
+
+    def has_both_directions(self, rows: pd.DataFrame) -> bool:
+        """Whether its joints were driven in both directions."""
+        own = rows["joint"].isin([joint for joint, _, _ in self.ranges] or rows["joint"])
+        return rows.loc[own, "direction"].nunique() > 1
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `Cause.quantities`: whose steps they are, as the beginning of a sentence."""
+        whose = join_words([f"joint {joint}'s" for joint, _, _ in self.ranges]) or "the"
+        return {**super().quantities(sizes), "whose": capitalize_first(whose)}
+
+
+@dataclass(frozen=True)
+class DirectionalCause(PositionCause):
     """A factor whose parameters are the same in both directions or, if the data ask for it, of each its own.
 
     Attributes
@@ -40,12 +88,16 @@ class DirectionalCause(FactorCause):
         Those of one direction.
     own_scale : tuple of float
         See `Cause.scale`.
+    own_trials : array_like, shape (m, q)
+        See `Cause.trials`, of one direction.
     """
 
     by_direction: bool = False
 
     own_parameters: ClassVar[tuple[CauseParameter, ...]]
     own_scale: ClassVar[tuple[float, ...]]
+    own_trials: ClassVar[npt.ArrayLike]
+    combine_trials = True
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
@@ -57,18 +109,16 @@ class DirectionalCause(FactorCause):
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         return self.own_scale * (1 + self.by_direction)
 
-    @abstractmethod
-    def own_trials(self, rows: pd.DataFrame) -> Array:
-        """See `Cause.trials`: of one direction, shape (m, q)."""
-
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`: the same in both directions, and in each its own."""
-        own = self.own_trials(rows)
-        versions: list[tuple[Cause, Array]] = [(replace(self, by_direction=False), own)]
-        if rows["direction"].nunique() > 1:
-            each = np.asarray(np.kron(np.eye(2), own), dtype=float)
-            versions.append((replace(self, by_direction=True), each))
-        return versions
+        own = np.array(self.own_trials, dtype=float)
+        each = np.asarray(np.kron(np.eye(2), own), dtype=float)
+        tried: list[tuple[Cause, Array]] = []
+        for version in self.together_and_alone():
+            tried.append((replace(version, by_direction=False), own))
+            if version.has_both_directions(rows):
+                tried.append((replace(version, by_direction=True), each))
+        return tried
 
     def by_row(self, state: State, values: list[Array]) -> list[Array]:
         """The parameters in the direction of each row, each shape (n, 1)."""
@@ -92,7 +142,7 @@ class BearingRunout(DirectionalCause):
         "and is there with the base on its side, too."
     )
     shows_best = "a rotary joint over stretches of 60 degrees with the base on its side"
-    sentence = "Rotary steps vary by ± {A} over a turn: a bearing is eccentric"
+    sentence = "{whose} steps vary by ± {A} over a turn: a bearing is eccentric"
     remedy = "calibrating over the stretch that is used"
     joints = (1, 2)
     kind = "rotary"
@@ -101,18 +151,13 @@ class BearingRunout(DirectionalCause):
         CauseParameter("phi", "deg", "where the step size is greatest"),
     )
     own_scale = (0.01, 0.5)
+    own_trials = ((0.01, 0.0), (0.01, np.pi / 2))  # a cosine and a sine
     largest_sizes = ((0.1, 0.0), (0.1, np.pi / 2))
-    varies_along_traverse = True
-    combine_trials = True
 
     @property
     def start_values(self) -> tuple[float, ...]:
         """See `Cause.start_values`: without an amplitude no phase would matter."""
         return self.scale
-
-    def own_trials(self, rows: pd.DataFrame) -> Array:
-        """See `DirectionalCause.own_trials`: a cosine and a sine."""
-        return np.array([[0.01, 0.0], [0.01, np.pi / 2]])
 
     def combine(self, shares: Array, trials: Array) -> Array:
         """See `Cause.combine`: the amplitude and the phase of each direction's cosine and sine."""
@@ -125,13 +170,21 @@ class BearingRunout(DirectionalCause):
         return 1.0 + size * np.cos(state.position - phase)
 
 
-class GuideProfileCause(FactorCause):
-    """gamma times a factor that depends on the position along the guide, and on the direction, alone."""
+NOMINAL_GUIDE = ((PRISMATIC, 0.0, 12e-3),)  # published arm
+
+
+@dataclass(frozen=True)
+class GuideProfileCause(PositionCause):
+    """A factor along the guide of a prismatic joint."""
+
+    ranges: Ranges = NOMINAL_GUIDE
 
     joints = (PRISMATIC,)
     kind = "prismatic"
-    needs_geometry = True  # middle and ends of its guide
-    varies_along_traverse = True
+
+    def ends(self, joint: int) -> tuple[float, float]:
+        """The ends of a joint's guide, m."""
+        return next((low, high) for own, low, high in self.ranges if own == joint)
 
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
         subset = rows[rows["joint"].isin(self.joints)]
@@ -152,17 +205,16 @@ class GuideProfileCause(FactorCause):
         profile = [values[:, columns.start : columns.stop] for _, columns in along]
         stretches, which = unique_rows(np.column_stack([*ends, np.ones(len(values)), *profile]))
         # What is constant along a traverse does not change by how much its steps differ.
-        constant = extend(ConstantStep(PRISMATIC, Configuration("anywhere")), *(cause for cause, _ in along))
+        constant = extend(
+            ConstantStep(law.joint, Configuration("anywhere"), prismatic=True), *(cause for cause, _ in along)
+        )
         distinct = dict(zip(("start", "stop"), stretches.T, strict=False))
         return Cause.changes(self, constant, distinct, stretches[:, 2:], trials)[which]
 
 
-GUIDE_MIDDLE = 0.006  # m
-
-
 @dataclass(frozen=True)
 class GuideGradient(GuideProfileCause, DirectionalCause):
-    """Prismatic: gamma times 1 + k (q3 - 6 mm)."""
+    """Prismatic: gamma times 1 + k (q3 - 6 mm), or less the middle of another guide."""
 
     name = "guide-gradient"
     phrase = "the guide's preload varies along its length"
@@ -170,29 +222,32 @@ class GuideGradient(GuideProfileCause, DirectionalCause):
         "Two guide rails that are not parallel press on the slider more at one end than at the other, so "
         "that friction and step size change along the guide."
     )
-    shows_best = "joint 3 over the first and over the last third of its range"
-    sentence = "Joint 3's steps {k:grow|shrink} by {k} along the guide"
+    shows_best = "a prismatic joint over the first and over the last third of its range"
+    sentence = "{whose} steps {k:grow|shrink} by {k} along the guide"
     remedy = "calibrating over the stretch that is used"
     own_parameters = (CauseParameter("k", "%/mm", "change of the step size per millimetre"),)
-    own_scale = (2.0,)
-    largest_sizes = ((20.0,),)
-    combine_trials = True
 
-    def own_trials(self, rows: pd.DataFrame) -> Array:
+    @property
+    def own_scale(self) -> tuple[float, ...]:  # type: ignore[override]
+        """A change by 2.4 % over the longest guide."""
+        return (0.024 / max(high - low for _, low, high in self.ranges),)
+
+    @property
+    def own_trials(self) -> Array:  # type: ignore[override]
         return np.array([self.own_scale])
 
+    def largest_plausible(self) -> tuple[Array, ...]:
+        return (10.0 * np.array(self.scale),)
+
     def factor(self, state: State, values: list[Array]) -> Array:
-        return 1.0 + self.by_row(state, values)[0] * (state.position - GUIDE_MIDDLE)
+        middle = sum(self.ends(state.joint)) / 2.0
+        return 1.0 + self.by_row(state, values)[0] * (state.position - middle)
 
 
-SPOT_WIDTHS = (0.3e-3, 1e-3, 2.5e-3)  # m
-NARROWEST_SPOT = 0.1e-3
+SPOT_WIDTHS = (0.025, 1.0 / 12.0, 2.5 / 12.0)  # of the guide: 0.3, 1 and 2.5 mm of one of 12 mm
+NARROWEST_SPOT, WIDEST_SPOT = 0.1 / 12.0, 0.5
 WIDTHS_IN_PANEL = 4
 SPOT_SIZE = CauseParameter("A", "%", "change of the step size at its middle", lower=-0.95)
-SPOT_PLACE = (
-    CauseParameter("x0", "mm", "its middle", lower=0.0, upper=12e-3),
-    CauseParameter("w", "mm", "its width", lower=NARROWEST_SPOT, upper=6e-3),
-)
 
 
 @dataclass(frozen=True)
@@ -213,25 +268,36 @@ class WornSpot(GuideProfileCause):
         "Where a joint is used most, over a short stretch, its guide wears first, and the step size is "
         "another there. A traverse of the whole guide always crosses it and cannot tell."
     )
-    shows_best = "joint 3 over short stretches, one after the other, along the guide"
-    sentence = "Joint 3's steps {A:grow|shrink} by {A} around q3 = {x0} ({w} wide): the guide has a worn spot"
+    shows_best = "a prismatic joint over short stretches, one after the other, along the guide"
+    sentence = "{whose} steps {A:grow|shrink} by {A} around {q} = {x0} ({w} wide): the guide has a worn spot"
     remedy = "staying off that stretch"
-    largest_sizes = tuple((0.5, x0, 1e-3) for x0 in (2e-3, 4e-3, 6e-3, 8e-3, 10e-3))
-    max_panel = WIDTHS_IN_PANEL * NARROWEST_SPOT
 
     @property
     def combine_trials(self) -> bool:  # type: ignore[override]
         """See `Cause`: the amplitudes of the two directions are independent."""
         return bool(self.place)
 
-    @property
+    @cached_property
+    def guide(self) -> tuple[float, float]:
+        """Ends of the guide, of several those of all together, m."""
+        return min(low for _, low, _ in self.ranges), max(high for _, _, high in self.ranges)
+
+    @cached_property
+    def length(self) -> float:
+        """Length of the guide, m."""
+        return self.guide[1] - self.guide[0]
+
+    @cached_property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         each = tuple(replace(SPOT_SIZE, direction=one) for one in "+-") if self.place else (SPOT_SIZE,)
-        return (*each, *SPOT_PLACE)
+        (low, high), length = self.guide, self.length
+        middle = CauseParameter("x0", "mm", "its middle", lower=low, upper=high)
+        narrowest, widest = NARROWEST_SPOT * length, WIDEST_SPOT * length
+        return (*each, middle, CauseParameter("w", "mm", "its width", lower=narrowest, upper=widest))
 
-    @property
+    @cached_property
     def null_values(self) -> tuple[float, ...]:
-        return (0.0, 0.0, *self.place) if self.place else (0.0, 6e-3, 1e-3)
+        return (0.0, 0.0, *self.place) if self.place else (0.0, sum(self.guide) / 2.0, self.length / 12.0)
 
     @property
     def start_values(self) -> tuple[float, ...]:
@@ -240,21 +306,37 @@ class WornSpot(GuideProfileCause):
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
-        return (*(0.05,) * (len(self.parameters) - 2), 1e-3, 1e-3)
+        return (*(0.05,) * (len(self.parameters) - 2), self.length / 12.0, self.length / 12.0)
+
+    def largest_plausible(self) -> tuple[Array, ...]:
+        """See `Cause.largest_plausible`: in five places; of several guides those of `trials`."""
+        if len(self.ranges) > 1:
+            return ()
+        places = self.guide[0] + self.length * np.arange(1, 6) / 6.0
+        return tuple(np.array([0.5, x0, self.length / 12.0]) for x0 in places)
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `Cause.trials`: spots of three widths, side by side along the guide; wide ones by direction."""
-        ends = rows.loc[rows["joint"] == PRISMATIC, ["start", "stop"]].to_numpy(float)
-        middles = [np.arange(ends.min() + width / 2, ends.max(), width) for width in SPOT_WIDTHS]
-        spots = [(x0, width) for width, places in zip(SPOT_WIDTHS, middles, strict=True) for x0 in places]
+        """See `Cause.trials`: spots of three widths side by side along each guide; wide ones by direction."""
+        return [
+            tried
+            for version in self.together_and_alone()[-len(self.ranges) :]
+            for tried in version._trials(rows)
+        ]
+
+    def _trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
+        joint, widths = self.ranges[0][0], [share * self.length for share in SPOT_WIDTHS]
+        own = rows[rows["joint"] == joint]
+        ends = own[["start", "stop"]].to_numpy(float)
+        middles = [np.arange(ends.min() + width / 2, ends.max(), width) for width in widths]
+        spots = [(x0, width) for width, places in zip(widths, middles, strict=True) for x0 in places]
         versions: list[tuple[Cause, Array]] = [
             (replace(self, place=()), np.array([(0.05, *spot) for spot in spots]))
         ]
-        if rows.loc[rows["joint"] == PRISMATIC, "direction"].nunique() > 1:
+        if self.has_both_directions(rows):
             versions += [
                 (replace(self, place=spot), np.array([(0.05, 0.0, *spot), (0.0, 0.05, *spot)]))
                 for spot in spots
-                if spot[1] > SPOT_WIDTHS[0]
+                if spot[1] > widths[0]
             ]
         return versions
 
@@ -262,7 +344,15 @@ class WornSpot(GuideProfileCause):
         return np.append(shares @ trials[:, :2], trials[0, 2:])
 
     def panel(self, values: Array, joint: int) -> float:
-        return WIDTHS_IN_PANEL * max(float(values[:, -1].min()), NARROWEST_SPOT)
+        return WIDTHS_IN_PANEL * max(float(values[:, -1].min()), NARROWEST_SPOT * self.length)
+
+    @property
+    def max_panel(self) -> float:  # type: ignore[override]
+        """See `Cause.max_panel`: of the narrowest spot."""
+        return WIDTHS_IN_PANEL * NARROWEST_SPOT * self.length
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        return {**super().quantities(sizes), "q": f"q{self.ranges[0][0]}"}
 
     def factor(self, state: State, values: list[Array]) -> Array:
         *sizes, middle, width = values

@@ -175,9 +175,19 @@ class LogWords(Words):
         following = ""
         if finding.equivalent and diagnosis.next_experiment:
             following = " The traverses that would separate them are below."
-        elif finding.equivalent:
+        elif finding.equivalent and knows_calibration(diagnosis):
             following = " No candidate traverse would separate them."
+        elif finding.equivalent:
+            following = (
+                " No traverse that would separate them is proposed, as the law does not say how a session is "
+                "calibrated."
+            )
         return f"{what} {cut}; {scatter}.{following}"
+
+
+def knows_calibration(diagnosis: Diagnosis) -> bool:
+    """Whether a law says how its next session is calibrated, without which no traverse is proposed."""
+    return any(part.law.calibration() for part in diagnosis.selection.problem.parts)
 
 
 def describe_noise(diagnosis: Diagnosis) -> list[str]:

@@ -27,7 +27,7 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._summary import Column, Section, Summary, Table, numbers, summarize, words
 from stickslip_fit.causes import SizedParameter
-from stickslip_fit.diagnosis._log_words import LogWords
+from stickslip_fit.diagnosis._log_words import LogWords, knows_calibration
 from stickslip_fit.diagnosis._stage_summary import stage_sections
 from stickslip_fit.diagnosis._table_words import TableWords
 from stickslip_fit.diagnosis._unknown_summary import explains_tables, name_findings
@@ -255,7 +255,8 @@ def _alternatives(diagnosis: Diagnosis) -> list[str]:
         f"Whatever {first} would do in this {diagnosis.info.data}, {second} could have done too."
         for first, second in diagnosis.aliased_causes
     ]
-    if diagnosis.table is None:  # of a table the headline says what would separate them
+    # Of a table the headline says what would separate them.
+    if diagnosis.table is None and knows_calibration(diagnosis):
         inseparable = find_inseparable_pairs(diagnosis.findings, diagnosis.next_experiment)
         sentences += [f"No traverse within reach separates {one} from {other}." for one, other in inseparable]
     return [*sentences, *describe_proposals(diagnosis.findings, diagnosis.info.data)]

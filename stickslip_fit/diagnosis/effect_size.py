@@ -78,9 +78,12 @@ def _size_cause(selection: Selection, selected: SelectedCause, covariance: Array
     rivals = tuple(
         rival
         for rival in selected.cause_set.rivals
-        if rival in selected.cause_set.by_refit
-        or selected.cause_set.probability.get(rival, 0.0) >= MIN_RIVAL
-        or not is_distinguishable(misfit.best_hypothesis(selected.cause), misfit, rival, strength)
+        if rival != selected.version.special_case_of
+        and (
+            rival in selected.cause_set.by_refit
+            or selected.cause_set.probability.get(rival, 0.0) >= MIN_RIVAL
+            or not is_distinguishable(misfit.best_hypothesis(selected.cause), misfit, rival, strength)
+        )
     )
     parameters = _size_parameters(selected.version, selected.cause, values, covariance[place, place])
     rows, joints = selection.problem.rows, _joints_of(selected.version, selection)

@@ -8,9 +8,11 @@ import pandas as pd
 import pytest
 
 from stickslip_fit import causes
-from stickslip_fit.causes import covariates, library
+from stickslip_fit.causes import covariates, explain_missing, extend, library
 from stickslip_fit.causes.parameters import candidate_moments
+from stickslip_fit.laws import ConstantStep
 from stickslip_fit.logs import Log
+from stickslip_fit.machine import load_machine
 from stickslip_fit.units import UNITS
 from tests.causes.table import LAWS, MACHINE, NAMED, own_values
 
@@ -81,6 +83,54 @@ def test_trials_move_some_count_by_an_amount_that_a_lab_may_meet(name, log):
         low = [parameter.lower for parameter in version.parameters]
         high = [parameter.upper for parameter in version.parameters]
         assert np.all((trials >= low) & (trials <= high))
+
+
+STAGES = """[[joint]]
+kind = "rotary"
+range_deg = [0.0, 340.0]
+[[joint]]
+kind = "prismatic"
+range_mm = [-20.0, 40.0]
+[[joint]]
+kind = "prismatic"
+range_mm = [2.0, 5.0]
+"""
+
+
+@pytest.fixture(scope="module")
+def stages(tmp_path_factory):
+    path = tmp_path_factory.mktemp("stages") / "stages.toml"
+    path.write_text(STAGES, encoding="utf-8")
+    return load_machine(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "joints"),
+    [("worn-spot", [(2,), (3,)]), ("guide-gradient", [(2, 3), (2,), (3,)]), ("bearing-runout", [(1,)])],
+)
+def test_a_profile_is_looked_for_on_each_joint_of_its_kind_over_its_own_range(name, joints, log, stages):
+    """Of any machine; a worn spot is as wide and as far as the guide is long."""
+    rows = log.rows.copy()
+    ends = np.array([stages.ranges[joint] for joint in rows["joint"]])
+    rows[["start", "stop"]] = ends[:, :1] + np.diff(ends) * np.random.default_rng(1).random((len(rows), 2))
+    assert explain_missing(named(name, rows), rows, stages) is None
+    bound = named(name, rows).bind(rows, stages)
+    found = {}
+    for version, trials in bound.trials(rows):
+        own = tuple(joint for joint, _, _ in version.ranges)
+        found.setdefault(own, []).append(trials)
+        assert [version.acts_on(ConstantStep(one, prismatic=one > 1)) for one in (1, 2, 3)] == [
+            one in own for one in (1, 2, 3)
+        ]
+        for joint in own:
+            law = extend(ConstantStep(joint, prismatic=joint > 1), version)
+            low, high = stages.ranges[joint]
+            row, places = pd.DataFrame({"start": [low], "stop": [high]}), np.linspace(low, high, 2001)[None]
+            factors = [law.step_size(row, places, np.append(1.0, values)[None])[0] for values in trials]
+            assert 0.001 < np.ptp(factors, axis=1).max() < 0.06
+            if name == "worn-spot" and not version.place:  # spots side by side leave out no place
+                assert np.all(np.max(np.abs(np.array(factors) - 1.0), axis=0)[100:-100] > 0.01)
+    assert sorted(found) == sorted(joints)
 
 
 @pytest.mark.parametrize("name", [name for name in ALL if name != "end-stop-misfire"])
