@@ -12,6 +12,8 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
 
 CAUSE_SET_LOG_BAYES_FACTOR = 3.0  # nats below the best; the set holds the true cause in 95 of 100 logs
+# So much less likely, a special case of a cause still suffices: its shapes on single joints count, too.
+SPECIAL_CASE_LOG_BAYES_FACTOR = 1.1
 PRIOR_NULL = 0.5
 # Of sessions if one of two causes is right, below which neither counts as that; squared distance, in units of
 # the noise, below which two fits are the same in a session.
@@ -55,7 +57,7 @@ class CauseSet:
 def form_cause_set(misfit: Misfit, chosen: str | None = None) -> CauseSet:
     """The best cause, or the `chosen` one, and its rivals."""
     evidence = misfit.log_evidence_by_cause
-    best = chosen or next(iter(misfit.rank_causes(evidence.get(UNKNOWN, -np.inf))), UNKNOWN)
+    best = chosen or _likeliest_cause(misfit)
     rivals: tuple[str, ...] = ()
     if best != UNKNOWN:
         floor = evidence[best] - CAUSE_SET_LOG_BAYES_FACTOR
@@ -67,6 +69,17 @@ def form_cause_set(misfit: Misfit, chosen: str | None = None) -> CauseSet:
         probability = {cause: p / total if total > 0 else 0.0 for cause, p in probability.items()}
     inconsistent = tuple(cause for cause in rivals if cause in misfit.inconsistent)
     return CauseSet(best, rivals, probability, inconsistent)
+
+
+def _likeliest_cause(misfit: Misfit) -> str:
+    """The likeliest cause, or a special case of it that suffices; ``unknown`` where that is likelier."""
+    evidence = misfit.log_evidence_by_cause
+    ranked = misfit.rank_causes(evidence.get(UNKNOWN, -np.inf))
+    if not ranked:
+        return UNKNOWN
+    least = evidence[ranked[0]] - SPECIAL_CASE_LOG_BAYES_FACTOR
+    special = [one for one in ranked if evidence[one] > least and misfit.special_case_of(one) == ranked[0]]
+    return special[0] if special else ranked[0]
 
 
 def limit_evidence(ahead: float, likelier: Array, other: Array, session: IntArray) -> float:

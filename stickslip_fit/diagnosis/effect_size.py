@@ -74,14 +74,16 @@ def _size_cause(selection: Selection, selected: SelectedCause, covariance: Array
     if effect.strength > MAX_CONDITIONAL_STRENGTH:
         size = _with_lack(size, effect, selection)
     strength = size.estimate * effect.strength / effect.rms
-    misfit = selected.test
+    misfit, probability = selected.test, selected.cause_set.probability
+    # Whatever the data, a general form can do what its special case does; that is told where it is likelier.
+    general, own = selected.version.special_case_of, probability.get(selected.cause, 0.0)
     rivals = tuple(
         rival
         for rival in selected.cause_set.rivals
-        if rival != selected.version.special_case_of
+        if (rival != general or probability.get(rival, 0.0) > own)
         and (
             rival in selected.cause_set.by_refit
-            or selected.cause_set.probability.get(rival, 0.0) >= MIN_RIVAL
+            or probability.get(rival, 0.0) >= MIN_RIVAL
             or not is_distinguishable(misfit.best_hypothesis(selected.cause), misfit, rival, strength)
         )
     )

@@ -165,6 +165,11 @@ class Misfit:
         known = [cause for cause in evidence if cause not in (UNKNOWN, *without) and evidence[cause] > least]
         return sorted(known, key=lambda cause: -evidence[cause])
 
+    def special_case_of(self, cause: str) -> str:
+        """A cause whose form contains that of this one; empty where there is none."""
+        shapes = (self.hypotheses[place] for place in self._places.get(cause, ()))
+        return next((one.version.special_case_of for one in shapes if getattr(one, "version", None)), "")
+
     def best_hypothesis(self, cause: str) -> Hypothesis | AR1:
         """The likeliest shape of a cause; of all causes, if this one has no shape."""
         places = self._places.get(cause) or range(len(self.hypotheses))

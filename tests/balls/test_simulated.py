@@ -112,6 +112,7 @@ def seen(height):
     return height - 0.01 * (height - 30.0) ** 2 / 2
 
 
+@pytest.mark.nightly
 def test_a_slanted_camera_and_drag_are_both_found():
     """The camera sees where the ball is: the slant acts on the height with the drag in it."""
     frames = filmed(ACCELERATIONS["quadratic-drag"], 4)

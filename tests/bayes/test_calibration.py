@@ -84,6 +84,7 @@ def test_truths_rank_evenly_among_the_draws_and_intervals_cover(cases, fitted, l
     check(study(cases[law], fitted, cases[law].prior, 6))
 
 
+@pytest.mark.nightly
 def test_a_wrong_prior_scale_is_found_out(cases, fitted):
     """The check is worth something: spread between sessions believed a fifth of what it is."""
     case = cases["prismatic"]

@@ -168,6 +168,7 @@ def test_a_linear_law_needs_no_weights_and_a_bent_one_little(
         assert np.std(log_weight) < most
 
 
+@pytest.mark.nightly
 def test_what_uneven_weights_cost_is_walked_for(traverses, tight_prior, fitted, monkeypatch):
     """Weights of 1 to 3000 leave a quarter of the draws."""
     from stickslip_fit.bayes import sampler as module

@@ -67,6 +67,7 @@ def test_a_profile_of_any_shape_is_named_and_learned(tmp_path, joint, by_directi
     assert np.sqrt(np.mean((predicted - inside) ** 2)) < 0.1 * diagnosis.repeatability
 
 
+@pytest.mark.nightly
 def test_of_a_profile_in_one_direction_nothing_is_said_of_the_other(tmp_path):
     """With a prior size for both directions the other would have a profile of a third of it."""
     both = draw_profile(np.random.default_rng(2), 0.02, False)

@@ -171,7 +171,10 @@ def test_rates_beside_profiles(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("other", "strength", "design", "seed", "named"),
-    [("drift", 17.0, "many", 4, {"drift"}), ("unknown:session", 35.0, "thesis", 3, set())],
+    [
+        pytest.param("drift", 17.0, "many", 4, {"drift"}, marks=pytest.mark.nightly),
+        ("unknown:session", 35.0, "thesis", 3, set()),
+    ],
 )
 def test_structure_beside_another_effect_is_not_the_cause_nearest_to_it(
     other: str, strength: float, design: str, seed: int, named: set[str]

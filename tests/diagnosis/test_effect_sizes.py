@@ -99,6 +99,7 @@ def test_a_spot_narrower_than_can_be_told_has_the_size_that_it_has():
         assert found.size.low < true < found.size.high
 
 
+@pytest.mark.nightly
 def test_counts_without_which_a_session_has_no_law():
     """Of four outlying counts of one direction of a session two have no prediction once all are out."""
     hidden = make(Case("single", "many", "t5", 25.0, 1000041))

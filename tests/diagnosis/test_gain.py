@@ -180,6 +180,7 @@ def test_the_traverses_beside_a_lasting_change_stay_in_training(problem):
     assert not {last, first} & set(seconds[held_out])
 
 
+@pytest.mark.nightly
 def test_structure_without_a_name_stays_known_in_each_joint():
     """Without what a joint shows of it, whether it acts on that joint, too, would be a guess."""
     case = next(one for one in outside.cases((25.0,), 461_000) if one.form == "square of psi")

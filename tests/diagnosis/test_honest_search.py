@@ -175,6 +175,7 @@ def test_a_cause_whose_fit_fails_is_dropped_with_a_note(monkeypatch):
     assert "could not be fitted" in found.untestable["stribeck"]
 
 
+@pytest.mark.nightly
 def test_laws_without_a_finite_fit_are_no_rivals(monkeypatch):
     """Whatever is tried beside or in place of what was found."""
     tried = []

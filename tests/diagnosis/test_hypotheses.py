@@ -67,7 +67,9 @@ def test_a_wave_is_described_by_its_slower_period_where_traverses_go_to_and_fro(
             assert likeliest.period == pytest.approx(1 / 0.04, rel=0.02)
 
 
-@pytest.mark.parametrize("design", ["session", pytest.param("thesis", marks=pytest.mark.nightly), "many"])
+@pytest.mark.parametrize(
+    "design", ["session", *(pytest.param(one, marks=pytest.mark.nightly) for one in ("thesis", "many"))]
+)
 def test_directions_have_length_1_and_none_is_of_the_calibration(design):
     """Of jumps and functions of sessions, too, beside a cause in the laws, which acts in all sessions."""
     extended, linearized = extend(hide(design, ("side-load",), 12.0, seed=2), "side-load")

@@ -64,6 +64,7 @@ def test_a_cause_that_predicts_worse_becomes_unknown_with_a_note(named):
     assert diagnosis_to_json(answer)["findings"][0]["note"] == left[0].note
 
 
+@pytest.mark.nightly
 def test_counts_that_a_cause_explains_take_part_again(campaign, read_table, monkeypatch):
     """Outlying beside an effect that the first test knows in part only; a count that is off stays out."""
     table = campaign(("2012-03-05", "2012-03-06"), replicates=2)

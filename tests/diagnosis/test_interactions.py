@@ -58,9 +58,9 @@ def diagnose_with(effect, design, joints):
 @pytest.mark.parametrize(
     ("effect", "design", "joints", "carriers"),
     [
-        (own_length, "many", (3,), {"own_length"}),
+        pytest.param(own_length, "many", (3,), {"own_length"}, marks=pytest.mark.nightly),
         (two_columns, "session", (2, 3), {"supply", "temperature"}),
-        (warmth, "session", (2, 3), {"joint_use_20min"}),
+        pytest.param(warmth, "session", (2, 3), {"joint_use_20min"}, marks=pytest.mark.nightly),
         pytest.param(warmth, "many", (1, 2, 3), {"joint_use_20min"}, marks=pytest.mark.nightly),
     ],
 )

@@ -271,6 +271,7 @@ def test_a_law_for_unknown_structure_before_a_cause_is_searched_anew():
     assert confirm_search(prepare_looks(unclear, ALPHA), split, findings) is None
 
 
+@pytest.mark.nightly
 def test_several_causes_are_those_of_the_whole_selection_repeated():
     """Each is asked for again with the others in the law, and where it was named first."""
     log = read_hidden(hide("thesis", ("cable-torque", "drift"), 14, seed=3), (2,))

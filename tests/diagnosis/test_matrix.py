@@ -96,6 +96,7 @@ def of_plan(sweeps: str, sessions: str = ONE, replicates: int = 2, order: str = 
     return assess_design(problem, untestable, 0.05, N_BOOTSTRAP, np.random.default_rng(1)), problem
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("one", "other"), [("drift", "thermal-warm-up"), ("drift", "wear"), ("thermal-warm-up", "wear")]
 )

@@ -164,6 +164,7 @@ def test_what_is_proposed_decides_between_the_two_in_nineteen_of_twenty_sessions
     assert wrong <= binom.ppf(0.999, 2 * SESSIONS, 0.05)
 
 
+@pytest.mark.nightly
 def test_no_more_readings_are_asked_for_than_it_takes():
     diagnosis = diagnosis_of("session", "side-load", 10.0)
     choices = forecast_candidates(diagnosis.selection.problem, log_of("session", "side-load", 10.0).machine)
@@ -190,6 +191,7 @@ def test_no_more_readings_are_asked_for_than_it_takes():
     assert confused(traverse.repeats - 1) < 1.66
 
 
+@pytest.mark.nightly
 def test_drift_warm_up_and_wear_are_told_apart_by_a_later_traverse():
     diagnosis = diagnosis_of("session", "drift", 12.0)
     doubtful = left_with(diagnosis, "drift", RIVALS["drift"])

@@ -54,6 +54,7 @@ def test_a_warm_up_of_one_joint_is_named_as_such(joint, seed, tmp_path):
     )
 
 
+@pytest.mark.nightly
 def test_a_warm_up_of_all_joints_has_one_size():
     (finding,) = ssf.diagnose(read_warmed([2, 3], 4), gain=False).findings
     assert (finding.cause, finding.version.is_restricted) == ("thermal-warm-up", False)
@@ -77,7 +78,7 @@ def change_as(name, table, seconds):
 @pytest.mark.parametrize(
     ("name", "seed"),
     [
-        ("drift", 11),
+        pytest.param("drift", 11, marks=pytest.mark.nightly),
         *(pytest.param("thermal-warm-up", k, marks=pytest.mark.nightly) for k in (12, 13)),
         *(pytest.param("session-jump", k, marks=pytest.mark.nightly) for k in (14, 15)),
     ],

@@ -72,6 +72,7 @@ def test_a_term_acts_on_the_joint_that_has_the_effect(hidden_logs):
     assert (finding.term, finding.joints) == ("k * sin(q1) * load, joint 3", (3,))
 
 
+@pytest.mark.nightly
 def test_a_law_says_nothing_of_a_joint_of_which_the_log_shows_nothing():
     """Of joint 1 only traverses at q3 = 0 are left, where a product with q3 is nothing."""
     case = next(one for one in outside.cases((25.0,), 461_000) if one.form == "q3 and sin theta, joint 2")

@@ -175,6 +175,7 @@ def rough_profiles(seed):
     return lambda places, sign, session: profiles[session, sign][(places // 3.6).astype(int)]
 
 
+@pytest.mark.nightly
 def test_where_a_function_fails_counts_are_no_gross_errors(tmp_path):
     """It runs through the rows that it is fitted to; one that it misses is as far off as others left out."""
     log = write_log(tmp_path, rough_profiles(17), seed=17, traverses=25, travel=180, noise=0.0)

@@ -69,6 +69,7 @@ def test_no_search_is_repeated_for_a_cause_that_is_withdrawn(two, without_first)
     assert measured.gain.extended < measured.gain.baseline
 
 
+@pytest.mark.nightly
 def test_what_is_withdrawn_is_in_the_law_of_no_fold(two, without_first):
     """Here it does predict better, so that without it more is left."""
     both, (measured, _) = two.measure_gain().gain, without_first

@@ -27,6 +27,7 @@ def test_the_tip_goes_where_the_script_says(fitted):
     assert table["error_um"].iloc[-1] < 2 * table["radius_um"].iloc[-1]
 
 
+@pytest.mark.nightly
 def test_errors_of_other_truths_are_as_large_as_their_covariance_says(fitted):
     """Each drive's squared error over its covariance is chi-square with 3 degrees of freedom.
 

@@ -13,6 +13,7 @@ def least(share, drives):
     return share - 3 * np.sqrt(share * (1 - share) / drives)
 
 
+@pytest.mark.nightly
 def test_a_few_drives_end_where_they_are_said_to():
     found = run(campaigns=2, drives=5, seed=3)
     assert found.near >= least(0.95, 10)

@@ -104,6 +104,7 @@ def test_a_large_effect_is_no_gross_error(cause, design):
     assert not len(find_gross_errors(problem, LEVEL).rows)
 
 
+@pytest.mark.nightly
 def test_rows_that_a_named_cause_explains_come_back():
     """The first traverses of a strong warm-up are the farthest off; a gross error among them stays aside."""
     hidden = hide("session", ("thermal-warm-up",), 25.0, seed=2)
@@ -114,6 +115,7 @@ def test_rows_that_a_named_cause_explains_come_back():
     assert explain_outliers(found, problem, aside).tolist() == [0, 1]
 
 
+@pytest.mark.nightly
 def test_a_very_strong_effect_is_no_gross_error():
     hidden = hide("session", ("thermal-warm-up",), 60.0, seed=2)
     found = diagnose(read_hidden(hidden, (3,)), gain=False)

@@ -36,6 +36,7 @@ def test_noise_is_called_what_it_is(kind, seed):
     assert findings(kind, seed) == EXPECTED[kind]
 
 
+@pytest.mark.nightly
 def test_noise_of_one_session_is_called_so_and_the_text_names_the_session():
     hidden = make("sessions", 5)
     noisy = (

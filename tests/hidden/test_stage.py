@@ -54,7 +54,7 @@ def test_stiff_bristles_slide_as_coulomb_says(ratio):
 
 
 @pytest.mark.parametrize("regime", RATIOS)
-@pytest.mark.parametrize("bristles", [None, Bristles()])
+@pytest.mark.parametrize("bristles", [None, pytest.param(Bristles(), marks=pytest.mark.nightly)])
 def test_the_reader_takes_a_stages_log(regime, bristles, read):
     hidden = drive_stage("session", Stage(regime, bristles), seed=3)
     assert list(read(hidden)["steps"]) == list(hidden.table["steps"])

@@ -140,6 +140,7 @@ def test_every_other_verb_takes_the_law(log, lab):
     assert "share lost" in page
 
 
+@pytest.mark.nightly
 def test_the_sessions_share_a_distribution_under_ones_own_law(log, lab):
     options = {"seed": 1, "target_ess": 200, "progress": False}
     guide = log.select(log.rows["joint"] == 3)

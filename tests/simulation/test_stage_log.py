@@ -248,6 +248,7 @@ def test_other_stages_step_as_the_stage_itself_says(stage_rows, changed):
     assert_counts(rows, LENGTH / kept / steps[which])
 
 
+@pytest.mark.nightly
 def test_bristles_meet_what_a_schedule_changes(stage_rows):
     later = {"session": "2012-03-06"}
     changes = schedule("preload", "-10 %", **later) + schedule("voltage", "-40 V", **later)

@@ -98,6 +98,7 @@ def test_wear_in_use_shows_by_the_distance_slid(tmp_path):
     assert "Step size in use" in analysis.summary().as_text()
 
 
+@pytest.mark.nightly
 def test_the_keys_of_hysteresis_are_read_and_answered(tmp_path):
     lines = ("weights_pct", "thresholds_V", "stiffnesses", "break_voltages_V")
     table = ("# [hysteresis]", "[hysteresis]")

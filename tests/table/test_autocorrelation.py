@@ -146,6 +146,7 @@ def test_a_diagnosis_says_how_many_independent_values_there_are():
     assert table.correlation_time == pytest.approx(0.01 * table.correlation_rows, rel=1e-6)
 
 
+@pytest.mark.nightly
 def test_rows_without_a_time_have_no_order():
     rows = signal(np.random.default_rng(2), "0.9", 1, 300)
     diagnosis = ssf.diagnose_table(rows, LAW, session="run", gain=False)
@@ -166,6 +167,7 @@ def test_noise_persists_over_at_most_four_tenths_of_the_longest_record():
     assert ringing.correlation_rows == pytest.approx(min(12, ringing.correlation_rows), rel=1e-4)
 
 
+@pytest.mark.nightly
 def test_noise_that_swings_is_told_with_its_period():
     """Sunspots recur after about 11 years without a steady phase: G. U. Yule's autoregression of 1927."""
     from statsmodels.datasets import sunspots

@@ -124,6 +124,7 @@ def test_a_session_that_was_not_fitted_and_a_missing_column_are_refused():
         fit.predict(two_runs().drop(columns="vel"))
 
 
+@pytest.mark.nightly
 def test_time_is_counted_from_where_the_fitted_session_began():
     """A drift's later half, predicted by itself, is where it was."""
     frame = bench(7, difference=0.0)

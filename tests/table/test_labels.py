@@ -27,7 +27,7 @@ def lots(seed, number, rows, spread, name=str):
 @pytest.mark.parametrize(
     ("number", "rows", "name", "seed"),
     [
-        (8, 9, int, 2),
+        pytest.param(8, 9, int, 2, marks=pytest.mark.nightly),
         pytest.param(21, 3, "S{}".format, 1, marks=pytest.mark.nightly),
         (30, 2, "S{}".format, 5),
     ],

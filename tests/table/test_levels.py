@@ -53,6 +53,7 @@ def test_offsets_are_those_of_the_analysis_of_covariance():
     np.testing.assert_allclose(bars.lines[0].get_ydata(), means[frame["who"].cat.categories], atol=1e-3)
 
 
+@pytest.mark.nightly
 def test_other_parameters_are_said_only_where_an_interaction_is_clear():
     """Beside the p-value of an analysis of covariance; in five of these both are about as likely."""
     found = []

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 
 import stickslip_fit as ssf
 
@@ -14,6 +15,7 @@ SURVIVAL = {
 }
 
 
+@pytest.mark.nightly
 def test_rates_of_dying_depend_on_poison_and_treatment_and_not_on_both_together():
     """The noise is what the additive analysis of variance of the rates leaves."""
     table = pd.concat(

@@ -48,7 +48,9 @@ def test_what_the_law_leaves_is_that_of_all_other_rows(line):
     assert f"of all others the law leaves {found.misfit:.3f} rms" in found.summary().headline[1]
 
 
-@pytest.mark.parametrize(("off", "rare"), [((-50.0, -2.0), True), ((-2.0, 30.0), False)])
+@pytest.mark.parametrize(
+    ("off", "rare"), [pytest.param((-50.0, -2.0), True, marks=pytest.mark.nightly), ((-2.0, 30.0), False)]
+)
 def test_how_rare_a_value_far_off_is_is_told(off, rare):
     """Against draws of Student's t: of 66 values in units of their median, the largest."""
     rng = np.random.default_rng(0)
@@ -97,6 +99,7 @@ def test_the_two_outliers_of_newcombs_times_of_light_are_named_and_one_in_few_ro
         assert found.selection.outliers.tolist() == rows
 
 
+@pytest.mark.nightly
 def test_in_noise_that_persists_an_outlier_is_told_from_a_change_that_lasts():
     """The rows after an outlier, less what it foretells, are as far off as those after such a change."""
     noise = lfilter([1.0], [1.0, -0.9], 0.1 * np.random.default_rng(11).standard_normal(400))[100:]

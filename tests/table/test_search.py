@@ -173,6 +173,7 @@ def test_the_unit_of_the_response_does_not_matter(factor):
     assert second.repeatability == pytest.approx(factor * first.repeatability)
 
 
+@pytest.mark.nightly
 def test_the_order_of_a_file_does_not_matter():
     rows, _ = with_effect(signal(np.random.default_rng(9), "0.5", 2, 80), "0.5", "spring", 14.0)
     shuffled = rows.sample(frac=1.0, random_state=1)
@@ -197,6 +198,7 @@ def test_a_cause_and_a_function_without_a_name_do_not_cancel_each_other(seed):
     assert max(one.effect.estimate for one in found.findings) < 2.0 * found.misfit
 
 
+@pytest.mark.nightly
 def test_a_hysteresis_shows_though_no_column_was_named_as_the_direction():
     rng = np.random.default_rng(4)
     share, up = np.tile(np.linspace(0.0, 1.0, 35), 2), np.repeat([True, False], 35)

@@ -35,7 +35,9 @@ def rough(seed=1):
 
 
 @pytest.mark.parametrize(
-    ("make", "carrier"), [(wall, "x and z"), (rough, "settings of x and who")], ids=["wall", "rough"]
+    ("make", "carrier"),
+    [(wall, "x and z"), pytest.param(rough, "settings of x and who", marks=pytest.mark.nightly)],
+    ids=["wall", "rough"],
 )
 def test_what_only_columns_together_show_is_found_and_predicted(make, carrier):
     diagnosis = ssf.diagnose_table(make(), LAW)

@@ -43,7 +43,7 @@ def test_a_curve_beyond_a_line_is_no_noise_that_persists():
     assert found.repeatability == pytest.approx(0.002, rel=0.3)
 
 
-@pytest.mark.parametrize("cycles", [3, pytest.param(5, marks=pytest.mark.nightly), 20])
+@pytest.mark.parametrize("cycles", [*(pytest.param(k, marks=pytest.mark.nightly) for k in (3, 5)), 20])
 def test_a_few_cycles_are_a_period(cycles):
     t = np.arange(200.0)
     y = np.sin(2 * np.pi * t * cycles / 200) + 0.1 * np.random.default_rng(cycles).standard_normal(200)
@@ -71,6 +71,7 @@ def test_a_slow_period_is_found_at_uneven_times():
     assert found.findings[0].carrier.startswith("period of 1,")
 
 
+@pytest.mark.nightly
 def test_a_large_constant_changes_nothing():
     rng, t = np.random.default_rng(7), np.arange(60.0)
     y = 0.02 * t + 0.1 * rng.standard_normal(60)

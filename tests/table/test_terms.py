@@ -169,6 +169,7 @@ def test_a_strict_period_is_told_from_noise_with_memory():
     )  # sd of the noise, of noise and wave
 
 
+@pytest.mark.nightly
 def test_noise_that_swings_has_no_strict_period():
     pole = 0.93 * np.exp(2j * np.pi / 11.0)
     t = np.arange(360.0)
@@ -178,6 +179,7 @@ def test_noise_that_swings_has_no_strict_period():
         assert "periodic-in-time" not in [cause.name for cause in problem.causes]
 
 
+@pytest.mark.nightly
 def test_the_season_of_el_nino_has_a_year():
     from statsmodels.datasets import elnino
 

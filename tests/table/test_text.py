@@ -43,7 +43,9 @@ def unnamed():
 CASES = ("named", "independent", "nothing", "outlying", "unnamed")
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [pytest.param(one, marks=[pytest.mark.nightly] * (one == "outlying")) for one in CASES]
+)
 def test_no_word_of_a_log_is_in_text_notebook_or_page(case, request):
     diagnosis = request.getfixturevalue(case)
     for text in (str(diagnosis), visible(diagnosis._repr_html_()), visible(ssf.report(diagnosis).html)):

@@ -73,6 +73,7 @@ def test_an_effect_in_noise_that_grows_is_named_with_its_size():
     assert finding.effect.estimate == pytest.approx(0.2 * np.std(temperature), rel=0.3)
 
 
+@pytest.mark.nightly
 def test_what_a_law_lacks_may_grow_as_the_noise_does():
     """A vapour pressure over five decades, 3 % off its law where the noise is 0.3 % of it."""
     rng = np.random.default_rng(0)

@@ -28,8 +28,18 @@ def test_a_frame_is_called_by_its_response(independent):
     ("course", "said", "parameter"),
     [
         (lambda day: 3 * (1 - np.exp(-day / 100)), r"a time constant of 9\d\.\d days", "tau"),
-        (lambda day: 0.01 * day, r"rises steadily, by 0\.01\d* mm/day|by 0\.009\d* mm/day", "k"),
-        (lambda day: 2.0 * (day > 250), r"25\d\.\d days after the first row", "moment"),
+        pytest.param(
+            lambda day: 0.01 * day,
+            r"rises steadily, by 0\.01\d* mm/day|by 0\.009\d* mm/day",
+            "k",
+            marks=pytest.mark.nightly,
+        ),
+        pytest.param(
+            lambda day: 2.0 * (day > 250),
+            r"25\d\.\d days after the first row",
+            "moment",
+            marks=pytest.mark.nightly,
+        ),
     ],
 )
 def test_times_of_dates_are_given_by_their_size(course, said, parameter):
@@ -112,6 +122,7 @@ def test_a_law_that_is_worse_than_the_mean_is_flagged_first(independent):
     assert not write_headline(replace(found, table=wide))[0].startswith("The fitted law leaves")
 
 
+@pytest.mark.nightly
 def test_a_wave_with_a_wrong_start_is_flagged():
     """Of 8 swings the fit finds another period, with an amplitude near 0."""
     t = 0.05 * np.arange(165)

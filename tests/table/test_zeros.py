@@ -31,6 +31,7 @@ def test_a_wrong_zero_is_named_with_its_size(make, name, size):
     assert parameter.size.low < diagnosis.extended_law().parameters["estimate"].iloc[-1] < parameter.size.high
 
 
+@pytest.mark.nightly
 def test_a_zero_is_not_named_for_a_function_of_its_column_that_it_does_not_have():
     """A resistance in series with a diode: a function of the current, which no zero of it comes near."""
     current, noise = np.geomspace(1e-4, 0.1, 60), 0.001 * np.random.default_rng(3).standard_normal(60)
