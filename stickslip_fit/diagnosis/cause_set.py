@@ -12,8 +12,9 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
 
 CAUSE_SET_LOG_BAYES_FACTOR = 3.0  # nats below the best; the set holds the true cause in 95 of 100 logs
-# So much less likely, a special case of a cause still suffices: its shapes on single joints count, too.
-SPECIAL_CASE_LOG_BAYES_FACTOR = 1.1
+# A special case of a cause is named if no more than so many times less likely, since its evidence is averaged
+# over single joints, too; it alone if so many times likelier.
+SPECIAL_CASE_ODDS = 3.0
 PRIOR_NULL = 0.5
 # Of sessions if one of two causes is right, below which neither counts as that; squared distance, in units of
 # the noise, below which two fits are the same in a session.
@@ -77,7 +78,7 @@ def _likeliest_cause(misfit: Misfit) -> str:
     ranked = misfit.rank_causes(evidence.get(UNKNOWN, -np.inf))
     if not ranked:
         return UNKNOWN
-    least = evidence[ranked[0]] - SPECIAL_CASE_LOG_BAYES_FACTOR
+    least = evidence[ranked[0]] - np.log(SPECIAL_CASE_ODDS)
     special = [one for one in ranked if evidence[one] > least and misfit.special_case_of(one) == ranked[0]]
     return special[0] if special else ranked[0]
 

@@ -19,6 +19,7 @@ from stickslip_fit.causes import OfJoints, SizedParameter
 from stickslip_fit.causes.levels import LevelCause
 from stickslip_fit.causes.proposed import CarryOverTerm, PeriodicTerm
 from stickslip_fit.causes.table_terms import PeriodicTableTerm
+from stickslip_fit.diagnosis.cause_set import SPECIAL_CASE_ODDS
 from stickslip_fit.diagnosis.effect_interval import (
     MAX_CONDITIONAL_STRENGTH,
     QUANTILES_95,
@@ -75,12 +76,13 @@ def _size_cause(selection: Selection, selected: SelectedCause, covariance: Array
         size = _with_lack(size, effect, selection)
     strength = size.estimate * effect.strength / effect.rms
     misfit, probability = selected.test, selected.cause_set.probability
-    # Whatever the data, a general form can do what its special case does; that is told where it is likelier.
-    general, own = selected.version.special_case_of, probability.get(selected.cause, 0.0)
+    # Whatever the data, a general form does what its special case does, which suffices where it is likelier.
+    general = selected.version.special_case_of
+    suffices = probability.get(selected.cause, 0.0) > SPECIAL_CASE_ODDS * probability.get(general, 0.0)
     rivals = tuple(
         rival
         for rival in selected.cause_set.rivals
-        if (rival != general or probability.get(rival, 0.0) > own)
+        if not (rival == general and suffices)
         and (
             rival in selected.cause_set.by_refit
             or probability.get(rival, 0.0) >= MIN_RIVAL
