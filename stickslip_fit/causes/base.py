@@ -155,8 +155,8 @@ class Cause(ABC):
         """Values that lie between those of `trials`, about some of shape (q,); (m, q), none as a rule."""
         return np.empty((0, len(values)))
 
-    def with_functions(self, sds: tuple[float, ...]) -> Cause | None:
-        """The cause as a smooth function of its only column, by prior sds; None if that is no form of it."""
+    def with_functions(self, term: Any) -> Cause | None:
+        """The cause as a smooth function of its only column, a term; None if that is no form of it."""
         return self
 
     @property

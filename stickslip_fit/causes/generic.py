@@ -372,9 +372,9 @@ class ColumnDependence(CovariateCause, AddedTerm):
         versions = [self, *([replace(self, order=most)] if most > self.order else [])]
         return [(one, np.diag(one._sizes)) for one in versions]
 
-    def with_functions(self, sds: tuple[float, ...]) -> Cause | None:
+    def with_functions(self, term: Any) -> Cause | None:
         own = {one.name: getattr(self, one.name) for one in fields(ColumnDependence)}
-        return SmoothColumnDependence(**own, sds=sds)
+        return SmoothColumnDependence(**own, sds=term.sds)
 
     def term(self, rows: Rows) -> Term:
         x = (2.0 * np.asarray(rows[self.column], float) - self.low - self.high) / (self.high - self.low)

@@ -392,7 +392,7 @@ class IntegerDependence(ColumnDependence):
         quantity = ColumnDependence(**{one.name: getattr(self, one.name) for one in fields(ColumnDependence)})
         return [*quantity.trials(rows)[:1], *labelled]
 
-    def with_functions(self, sds: tuple[float, ...]) -> None:
+    def with_functions(self, term: Any) -> None:
         """See `Cause.with_functions`: the labels are its most flexible form."""
 
 

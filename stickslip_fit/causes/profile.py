@@ -180,7 +180,7 @@ class AlongTravel(LogLinearFactor):
         """Rms of each function over its travel, by its coefficients (q,) and their covariance (q, q)."""
         number = len(self.sds)
         return tuple(
-            SizedParameter(RMS, "%", _rms_of_factor(values[own], covariance[own, own]), joint, direction)
+            SizedParameter(RMS, "%", rms_of_factor(values[own], covariance[own, own]), joint, direction)
             for place, (joint, direction) in enumerate(self.groups)
             for own in [slice(place * number, (place + 1) * number)]
         )
@@ -245,7 +245,7 @@ def _cosine_integrals(share: Array, number: int) -> Array:
     return np.asarray(integrals)
 
 
-def _rms_of_factor(values: Array, covariance: Array) -> Interval:
+def rms_of_factor(values: Array, covariance: Array) -> Interval:
     """Rms of the factor relative to its mean over the travel, from that of its logarithm."""
     logarithm = cosines(np.linspace(0.0, 1.0, N_PLACES), 0.0, 1.0, len(values)) @ values
     factor = np.exp(logarithm - logarithm.max())

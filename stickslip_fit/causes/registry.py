@@ -17,6 +17,7 @@ from stickslip_fit.causes.base import Cause, ExtendedLaw
 from stickslip_fit.causes.environment import Covariate
 from stickslip_fit.causes.formula import FormulaCause, restore_formula_cause
 from stickslip_fit.causes.formula_step import STEP_CAUSES, FormulaStepCause
+from stickslip_fit.causes.function_of_cause import FunctionOfCause
 from stickslip_fit.causes.kinds import OfJoints
 from stickslip_fit.causes.parameters import CauseParameter
 from stickslip_fit.causes.proposed import (
@@ -173,6 +174,8 @@ def _restore_cause(description: Mapping[str, Any], known: Mapping[str, Cause]) -
     if "source" in description:
         return _restore_formula_cause(description, known)
     name, bound = description["name"], {key: to_tuples(value) for key, value in description.items()}
+    if "of" in bound:
+        return FunctionOfCause(**{key: value for key, value in bound.items() if key != "name"})
     if name.startswith(COVARIATE_PREFIX):
         return Covariate(**{key: value for key, value in bound.items() if key != "name"})
     if name in FORMER or FORMER_FIELDS.get(name) in bound:

@@ -12,6 +12,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from stickslip_fit._typing import Array
+from stickslip_fit.causes.function_of_cause import FunctionOfCause
+from stickslip_fit.causes.kinds import FactorCause
 from stickslip_fit.causes.proposed import SMOOTH_SCALE, JointTerm, PeriodicTerm, SmoothTerm
 from stickslip_fit.diagnosis.hypotheses import (
     Hypothesis,
@@ -149,9 +151,16 @@ def attribute_to_causes(
             continue
         if cause is None or one.version is None:
             attributed.append(one)
-        elif cause.name not in without and (version := cause.with_functions(one.version.sds)):
+        elif cause.name not in without and (version := _as_function(cause, one.version)):
             attributed.append(replace(one, cause=cause.name, version=version, values=None))
     return attributed
+
+
+def _as_function(cause: Any, term: Any) -> Any:
+    """A cause as the smooth function that a term is; None if that is no form of it."""
+    if isinstance(cause, FactorCause) and isinstance(term, SmoothTerm):
+        return FunctionOfCause.of_term(cause, term)
+    return cause.with_functions(term)
 
 
 def smooth_in_time(seconds: Array, session: npt.NDArray[np.intp]) -> Array:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, pairwise
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,6 +20,7 @@ import pandas as pd
 from stickslip_fit._progress import ProgressCallback, ignore_progress
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes.function_of_cause import FunctionOfCause
 from stickslip_fit.diagnosis.autocorrelation import variance_over_innovations
 from stickslip_fit.diagnosis.cross_validation import (
     Selector,
@@ -473,13 +475,20 @@ def _linearize_campaign(
     )
 
 
+def _is_same_function(rival: Any, version: Any) -> bool:
+    """Whether a rival's law would be the same smooth function, under another name."""
+    return isinstance(version, FunctionOfCause) and getattr(rival, "carriers", ()) == version.carriers
+
+
 def _collect_competitors(selected: SelectedCause, effect: Array, df: int) -> CompetingCauses:
     """Rivals of a selected cause, whose fitted effect is given, whitened and projected, shape (n,)."""
     misfit = selected.test
     others = [
         cause
         for cause in misfit.log_evidence_by_cause
-        if cause != selected.cause and isinstance(misfit.best_hypothesis(cause), Hypothesis)
+        if cause != selected.cause
+        and isinstance(shape := misfit.best_hypothesis(cause), Hypothesis)
+        and not _is_same_function(shape.version, selected.version)
     ]
     residual = misfit.residual
     shapes = [effect, *(misfit.best_subspace(cause).explain(residual) for cause in others)]

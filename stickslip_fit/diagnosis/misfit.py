@@ -33,6 +33,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import compress
 from operator import and_, not_
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -167,8 +168,8 @@ class Misfit:
 
     def special_case_of(self, cause: str) -> str:
         """A cause whose form contains that of this one; empty where there is none."""
-        shapes = (self.hypotheses[place] for place in self._places.get(cause, ()))
-        return next((one.version.special_case_of for one in shapes if getattr(one, "version", None)), "")
+        versions: list[Any] = [self.hypotheses[place].version for place in self._places.get(cause, ())]
+        return next((one.special_case_of for one in versions if one is not None), "")
 
     def best_hypothesis(self, cause: str) -> Hypothesis | AR1:
         """The likeliest shape of a cause; of all causes, if this one has no shape."""

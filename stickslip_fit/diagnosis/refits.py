@@ -54,6 +54,8 @@ class Refits:
 
     def extension_with(self, selected: Sequence[SelectedCause]) -> Extension | None:
         """The one with the last of some selected causes, if a refit of it in this form was extended."""
+        if getattr(selected[-1].version, "is_restricted", False):
+            return None  # of which no refit was made
         known = self.extensions.get(selected[-1].cause)
         n_values = sum(len(one.start) for one in law_causes(selected))
         return known if known is not None and len(known.fit.values) == n_values else None

@@ -51,6 +51,7 @@ from stickslip_fit.diagnosis.extension import (
     try_extension,
 )
 from stickslip_fit.diagnosis.finding import Finding
+from stickslip_fit.diagnosis.function_law import follow_function
 from stickslip_fit.diagnosis.hypotheses import (
     FiniteEffects,
     compute_changes,
@@ -284,9 +285,8 @@ class _ForwardSelection:
         if chosen[-1].version is None:
             self.selected = chosen
             return False
-        is_part = getattr(chosen[-1].version, "is_restricted", False)  # of which no refit was made
-        extension = None if is_part else refits.extension_with(chosen)
-        extension = extension or extend_problem(problem, chosen)
+        extension = refits.extension_with(chosen) or extend_problem(problem, chosen)
+        chosen, extension = follow_function(chosen, extension)
         if chosen[-1].cause == UNKNOWN and is_collinear(self.extension, extension):
             self.selected = [*chosen[:-1], replace(chosen[-1], version=None, start=np.zeros(0))]
             return False

@@ -37,10 +37,21 @@ def test_empty_cells_of_a_slow_temperature_do_not_hide_it(seed):
 
 @pytest.mark.parametrize("seed", [5, pytest.param(6, marks=pytest.mark.nightly)])
 def test_an_effect_that_saturates_is_told_and_predicted_with_its_bend(seed):
-    log = read_with_temperature(lambda k: 0.02 * np.tanh((k + 1.0) / 2.0), seed)
+    log = read_with_temperature(lambda k: 0.03 * np.tanh((k + 4.0) / 6.0), seed)
     found = ssf.diagnose(log, gain=False)
     finding = found.findings[0]
     assert finding.cause == "temperature"
     sizes = {one.name: one.size for one in finding.parameters}
     assert sizes["bend"].high < 0.0
     assert "where it is cold" in str(found.summary())
+
+
+def test_what_no_equation_describes_is_a_curve_of_its_own():
+    """A threshold: by the straight or gently curved equation a third of the effect would be left."""
+    log = read_with_temperature(lambda k: 0.02 * np.tanh((k + 1.0) / 0.5), 5)
+    found = ssf.diagnose(log, gain=False)
+    (finding,) = found.findings
+    assert (finding.cause, [one.name for one in finding.parameters]) == ("temperature", ["rms"])
+    assert "along a curve" in str(found.summary())
+    error = np.log(log.rows["steps"] / found.extended_law().predict(log.rows)["steps"])
+    assert np.sqrt(np.mean(error**2)) < 1.1 * found.repeatability
