@@ -222,7 +222,9 @@ def test_every_coordinate_and_column_has_an_alternative_and_a_recorded_one_none_
     # Any function of the temperature, the same for all joints, is the cause temperature.
     temperature = Temperature(mean=294.0)
     attributed = attribute_to_causes(hypotheses, [temperature], ())
-    assert {one.cause for one in attributed if one.version is temperature} == {"temperature"}
+    assert {one.cause for one in attributed if getattr(one.version, "of", "") == "temperature"} == {
+        "temperature"
+    }
     left_out = {one.cause for one in attribute_to_causes(hypotheses, [temperature], ["temperature"])}
     assert not {"temperature", "unknown:temperature"} & left_out
     assert {"unknown:theta", "unknown:temperature, opposite"} <= left_out
