@@ -73,8 +73,15 @@ def drive(profiles, seed):
     ("joint", "profile", "cause", "sizes"),
     [
         pytest.param(2, spot, "worn-spot", {"A": -0.2, "x0": 3e-3, "w": 0.6e-3}, id="spot"),
-        pytest.param(3, runout, "bearing-runout", {"A": 0.03, "phi": np.radians(70)}, id="runout"),
-        pytest.param(1, gradient, "guide-gradient", {"k": 3.0}, id="gradient", marks=pytest.mark.nightly),
+        pytest.param(
+            3,
+            runout,
+            "bearing-runout",
+            {"A": 0.03, "phi": np.radians(70)},
+            id="runout",
+            marks=pytest.mark.nightly,
+        ),
+        pytest.param(1, gradient, "guide-gradient", {"k": 3.0}, id="gradient"),
         pytest.param(
             3, cable, "cable-torque", {"k": 0.04 * STEPS[3] / 175}, id="cable", marks=pytest.mark.nightly
         ),
