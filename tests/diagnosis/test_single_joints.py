@@ -1,4 +1,4 @@
-"""A positioning stage with two guides and a turntable: what is wrong with one joint has its name there."""
+"""A stage with two guides and two turntables: what is wrong with one joint has its name there."""
 
 import numpy as np
 import pandas as pd
@@ -17,10 +17,16 @@ range_mm = [-10.0, 10.0]
 [[joint]]
 kind = "rotary"
 range_deg = [0.0, 350.0]
+[[joint]]
+kind = "rotary"
+range_deg = [-120.0, 120.0]
 """
-RANGES, UNITS = {1: (0.0, 40.0), 2: (-10.0, 10.0), 3: (0.0, 350.0)}, {1: "mm", 2: "mm", 3: "deg"}
-STEPS = {1: 700e-6, 2: 820e-6, 3: 0.0034}  # mm and deg
-N, SESSIONS, NOISE = 300, 4, 0.008
+RANGES, UNITS = (
+    {1: (0.0, 40.0), 2: (-10.0, 10.0), 3: (0.0, 350.0), 4: (-120.0, 120.0)},
+    {1: "mm", 2: "mm", 3: "deg", 4: "deg"},
+)
+STEPS = {1: 700e-6, 2: 820e-6, 3: 0.0034, 4: 0.005}  # mm and deg
+N, SESSIONS, NOISE = 400, 4, 0.008
 
 
 def spot(x, outward):
@@ -40,11 +46,11 @@ def cable(x, outward):
 
 
 def drive(profiles, seed):
-    """Counts over partial traverses of all three joints; `profiles` by joint."""
+    """Counts over partial traverses of all joints; `profiles` by joint."""
     rng, rows = np.random.default_rng(seed), []
     for k in range(N):
         session, place = divmod(k, N // SESSIONS)
-        joint, outward = int(rng.integers(1, 4)), rng.random() < 0.5
+        joint, outward = int(rng.integers(1, 5)), rng.random() < 0.5
         low, high = RANGES[joint]
         near = rng.uniform(low, high - 0.1 * (high - low))
         far = min(high, near + rng.uniform(0.08, 0.35) * (high - low))
