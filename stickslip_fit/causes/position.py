@@ -56,10 +56,10 @@ class PositionCause(FactorCause):
 
     def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
         """See `Cause.bind`: the joints of its kind that the log has."""
-        if self.ranges != type(self).ranges:
-            return self
         joints = sorted({int(joint) for joint in rows["joint"]})
         own = [joint for joint in joints if machine.kinds[joint - 1] == self.kind]
+        if self.ranges != type(self).ranges or not own:
+            return self
         return replace(self, ranges=tuple((joint, *machine.ranges[joint]) for joint in own))
 
     def together_and_alone(self) -> list[Self]:
