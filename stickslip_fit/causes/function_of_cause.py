@@ -56,4 +56,6 @@ class FunctionOfCause(SmoothTerm):
     def describe(self, parameters: Sequence[SizedParameter]) -> str:
         """See `Cause.describe`: the phrase, and the rms where it is known."""
         by = "".join(f", by {one} rms" for one in parameters if one.name == RMS)
-        return f"{capitalize_first(self.phrase)}{by}, along a curve that the cause's equation does not describe"
+        return (
+            capitalize_first(self.phrase) + by + ", along a curve that the cause's equation does not describe"
+        )
