@@ -10,9 +10,10 @@ from typing import Self
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._format import capitalize_first, format_direction, join_words
+from stickslip_fit._format import format_direction, join_words
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause
+from stickslip_fit.causes.joint_ranges import NOMINAL_TRAVEL, JointRanges, Ranges
 from stickslip_fit.causes.kinds import FactorCause, StateCause, TermCause
 from stickslip_fit.causes.parameters import (
     CauseParameter,
@@ -324,16 +325,10 @@ class InertiaQuadratic(TermCause):
 
 
 @dataclass(frozen=True)
-class CableTorque(TermCause):
-    """Rotary: gamma plus k (q - middle of range), sign opposite in the two directions.
+class CableTorque(JointRanges, TermCause):
+    """Rotary: gamma plus k (q - middle of range), sign opposite in the two directions."""
 
-    Attributes
-    ----------
-    middle : tuple of (int, float)
-        Joints that it acts on, with the middle of their ranges, rad; those given stay in any log.
-    """
-
-    middle: tuple[tuple[int, float], ...] = ((1, 0.0), (2, -np.pi / 2))
+    ranges: Ranges = NOMINAL_TRAVEL[:2]
 
     name = "cable-torque"
     phrase = "a cable pulls on a rotary joint like a spring"
@@ -354,24 +349,9 @@ class CableTorque(TermCause):
     largest_sizes = ((0.1e-6 * 180 / np.pi,),)
     varies_along_traverse = True
 
-    def acts_on(self, law: StepLaw) -> bool:
-        return super().acts_on(law) and any(joint == law.joint for joint, _ in self.middle)
-
-    def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        if self.middle != type(self).middle:
-            return self
-        joints = [joint for joint in sorted({*rows["joint"]}) if not machine.is_prismatic(int(joint))]
-        return replace(self, middle=tuple((int(one), sum(machine.ranges[one]) / 2) for one in joints))
-
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
         """See `Cause.trials`: on all rotary joints, and on each alone."""
-        alone = [replace(self, middle=(one,)) for one in self.middle] if len(self.middle) > 1 else []
-        return [(version, np.array([self.scale])) for version in (self, *alone)]
-
-    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `Cause.quantities`: whose steps they are, as the beginning of a sentence."""
-        whose = join_words([f"joint {joint}'s" for joint, _ in self.middle])
-        return {**super().quantities(sizes), "whose": capitalize_first(whose)}
+        return [(version, np.array([self.scale])) for version in self.together_and_alone()]
 
     def term(self, free: Array, state: State, values: list[Array]) -> Array:
         return values[0] * self._deflection(state)
@@ -380,4 +360,4 @@ class CableTorque(TermCause):
         return np.zeros_like(free), [self._deflection(state)]
 
     def _deflection(self, state: State) -> Array:
-        return state.direction_sign * (state.position - dict(self.middle)[state.joint])
+        return state.direction_sign * (state.position - sum(self.ends(state.joint)) / 2.0)

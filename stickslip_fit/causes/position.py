@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._format import capitalize_first, format_percent, join_words
+from stickslip_fit._format import format_percent
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.base import Cause, ExtendedLaw, extend
+from stickslip_fit.causes.joint_ranges import NOMINAL_TRAVEL, JointRanges, Ranges
 from stickslip_fit.causes.kinds import CountCause, FactorCause
 from stickslip_fit.causes.parameters import CauseParameter, Row, Sizes
 from stickslip_fit.laws import Configuration, ConstantStep, State, StepLaw
-from stickslip_fit.machine import Machine
 from stickslip_fit.units import PRISMATIC
 
 __all__ = [  # noqa: RUF022
@@ -31,51 +31,12 @@ __all__ = [  # noqa: RUF022
 ]
 
 
-Ranges = tuple[tuple[int, float, float], ...]
-
-
 @dataclass(frozen=True)
-class PositionCause(FactorCause):
-    """gamma times a factor that depends on the joint's own position, and on the direction, alone.
-
-    Attributes
-    ----------
-    ranges : tuple of (int, float, float)
-        Joints that it acts on, with the ends of their ranges, rad or m; those given stay in any log.
-        Empty for all of its kind.
-    """
-
-    ranges: Ranges = ()
+class PositionCause(JointRanges, FactorCause):
+    """gamma times a factor that depends on the joint's own position, and on the direction, alone."""
 
     varies_along_traverse = True
     special_case_of = "along-travel"
-
-    def acts_on(self, law: StepLaw) -> bool:
-        own = not self.ranges or any(joint == law.joint for joint, _, _ in self.ranges)
-        return own and super().acts_on(law)
-
-    def bind(self, rows: pd.DataFrame, machine: Machine) -> Self:
-        """See `Cause.bind`: the joints of its kind that the log has."""
-        joints = sorted({int(joint) for joint in rows["joint"]})
-        own = [joint for joint in joints if machine.kinds[joint - 1] == self.kind]
-        if self.ranges != type(self).ranges or not own:
-            return self
-        return replace(self, ranges=tuple((joint, *machine.ranges[joint]) for joint in own))
-
-    def together_and_alone(self) -> list[Self]:
-        """On all its joints with the same parameters, and on each alone: a bearing or guide has its own."""
-        alone = [replace(self, ranges=(one,)) for one in self.ranges] if len(self.ranges) > 1 else []
-        return [self, *alone]
-
-    def has_both_directions(self, rows: pd.DataFrame) -> bool:
-        """Whether its joints were driven in both directions."""
-        own = rows["joint"].isin([joint for joint, _, _ in self.ranges] or rows["joint"])
-        return rows.loc[own, "direction"].nunique() > 1
-
-    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
-        """See `Cause.quantities`: whose steps they are, as the beginning of a sentence."""
-        whose = join_words([f"joint {joint}'s" for joint, _, _ in self.ranges]) or "the"
-        return {**super().quantities(sizes), "whose": capitalize_first(whose)}
 
 
 @dataclass(frozen=True)
@@ -170,21 +131,14 @@ class BearingRunout(DirectionalCause):
         return 1.0 + size * np.cos(state.position - phase)
 
 
-NOMINAL_GUIDE = ((PRISMATIC, 0.0, 12e-3),)  # published arm
-
-
 @dataclass(frozen=True)
 class GuideProfileCause(PositionCause):
     """A factor along the guide of a prismatic joint."""
 
-    ranges: Ranges = NOMINAL_GUIDE
+    ranges: Ranges = NOMINAL_TRAVEL[2:]
 
     joints = (PRISMATIC,)
     kind = "prismatic"
-
-    def ends(self, joint: int) -> tuple[float, float]:
-        """The ends of a joint's guide, m."""
-        return next((low, high) for own, low, high in self.ranges if own == joint)
 
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
         subset = rows[rows["joint"].isin(self.joints)]

@@ -19,6 +19,7 @@ from stickslip_fit._format import format_direction, join_words
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause, extend
+from stickslip_fit.causes.joint_ranges import NOMINAL_TRAVEL, Ranges
 from stickslip_fit.causes.kinds import FactorCause
 from stickslip_fit.causes.parameters import CauseParameter, Row, SizedParameter, collect_row_values
 from stickslip_fit.causes.smooth import LENGTHS, LogLinearFactor, cosines, prior_sds, rough_prior_sds
@@ -28,7 +29,6 @@ from stickslip_fit.units import Interval
 
 __all__ = ["AlongTravel"]
 
-NOMINAL_TRAVEL = ((1, -2.0943951, 2.0943951), (2, -3.6651914, 0.5235988), (3, 0.0, 12e-3))  # published arm
 TRIAL_SIZE = 0.01  # rms
 LARGEST_SIZE = 0.5  # of a single cosine: 35 % rms
 N_PIECES = 8  # of a traverse along which the law itself varies, each with one step size, in trials
@@ -57,7 +57,7 @@ class AlongTravel(LogLinearFactor):
         prior.
     """
 
-    travel: tuple[tuple[int, float, float], ...] = NOMINAL_TRAVEL
+    travel: Ranges = NOMINAL_TRAVEL
     directions: tuple[str, ...] = ()
     sds: tuple[float, ...] = tuple(prior_sds(LENGTHS[1]).tolist())
     amplitude: float | None = None
@@ -226,7 +226,7 @@ class AlongTravel(LogLinearFactor):
         return -(acts[:, :, None] * mean[:, None, :]).reshape(len(mean), -1)
 
 
-def _find_travel(rows: pd.DataFrame) -> tuple[tuple[int, float, float], ...]:
+def _find_travel(rows: pd.DataFrame) -> Ranges:
     """Joint, lowest and highest position, of the joints whose traverses have different ends."""
     travel = []
     for joint, ends in rows[["start", "stop"]].groupby(rows["joint"].to_numpy(int)):

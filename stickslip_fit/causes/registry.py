@@ -48,7 +48,7 @@ PROPOSED: dict[str, Callable[..., Cause]] = {
 }
 # Names of proposed functions in files of earlier versions, where they were a sum, not an exponential.
 FORMER = ("smooth-term", "smooth-joint-term", "smooth-travel-term", "periodic-term")
-FORMER_FIELDS = {"along-travel": "shape"}  # of causes that were a sum, too
+FORMER_FIELDS = {"along-travel": "shape", "cable-torque": "middle"}  # of causes that have others now
 
 
 def library() -> tuple[Cause, ...]:

@@ -147,4 +147,4 @@ def test_means_and_ranges_come_from_the_log():
     column = NAMED["covariate:pressure"].cause.bind(ROWS, MACHINE)
     assert (column.low, column.high) == (985.0, 1030.0)
     cable = NAMED["cable-torque"].cause.bind(ROWS, MACHINE)
-    assert dict(cable.middle) == pytest.approx({1: 0.0, 2: -np.pi / 2})
+    assert cable.ranges == tuple((joint, *MACHINE.ranges[joint]) for joint in (1, 2))

@@ -51,5 +51,14 @@ def test_a_cause_that_nobody_knows_is_told_by_name():
 
 
 def test_the_machine_a_cause_was_bound_to_is_kept():
-    wide = replace(NAMED["cable-torque"].cause, middle=((1, 0.1), (2, -1.0)))
-    assert dict(through_json(extend(LAWS[2], wide)).causes[0].middle) == {1: 0.1, 2: -1.0}
+    wide = replace(NAMED["cable-torque"].cause, ranges=((1, -0.4, 0.6), (2, -2.5, 0.5)))
+    assert through_json(extend(LAWS[2], wide)).causes[0].ranges == wide.ranges
+
+
+def test_a_cable_of_an_earlier_version_is_refused_in_one_sentence():
+    described = describe(extend(LAWS[2], NAMED["cable-torque"].cause))
+    (cause,) = described["causes"]
+    del cause["ranges"]
+    cause["middle"] = [[1, 0.0], [2, -1.5]]
+    with pytest.raises(InputError, match="'cable-torque' of an earlier version"):
+        restore(described, MACHINE)
