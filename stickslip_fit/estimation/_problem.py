@@ -116,6 +116,7 @@ DEFAULT_OPTIONS = FitOptions()
 # of `reweighting` carries on where it stopped.
 MAX_ITERATIONS = 500
 SETTLED_FALL = 1e-6  # share of the sum of squares, in so many iterations as `PATIENCE`
+MANY_PENALISED = 0.5  # of the rows, parameters with priors above which it counts
 LEAST_SCATTER = 1e-9  # of a response, relative to the largest
 
 
@@ -173,7 +174,7 @@ class Problem:
         data = (self.model, self.y, weight, self.groups, self.sharing, start, self.scales)
         # Where a session hardly determines its own parameters, a search among so many may creep for hundreds
         # of iterations; so small a share of the sum of squares is a few hundredths of an estimate's error.
-        settled = SETTLED_FALL if self.has_more_than_rows else 0.0
+        settled = SETTLED_FALL if len(self.penalised) > MANY_PENALISED * len(self.y) else 0.0
         options: Any = {"precision": precision, "most": most, "settled_fall": settled}
         minimum = solve_block_arrow(*data, lower=self.lower, upper=self.upper, **options)
         # A parameter that the prior determines takes no degree of freedom of the data.

@@ -52,7 +52,8 @@ def identifiable_parameters(
     inverse = np.where(seen, 1.0 / np.where(seen, eigenvalue, 1.0), 0.0)
     # What no row shows at all has no error bar; rounding would give it one, another in each group.
     shown = (unseen_share < 1.0 - ROUNDING)[:, :, None]
-    covariance = np.einsum("gik,gk,gjk->gij", vector * shown, inverse, vector * shown)
+    vector = vector * shown
+    covariance = (vector * inverse[:, None, :]) @ vector.mT
     return unseen_share < 1e-6, seen.sum(axis=1), covariance * scales[:, :, None] * scales[:, None, :]
 
 
