@@ -1,4 +1,4 @@
-"""What a diagnosis makes of 30 effects that the library of causes does not have.
+"""What a diagnosis makes of effects that the library of causes does not have: 30, or another `--set`.
 
 Each is hidden at two strengths. Recognised: the first finding is `unknown`. Saving: by how much the extended
 law lowers the rms error on a fresh replicate (same campaign, new noise) against the published laws, beside
@@ -81,12 +81,13 @@ def main() -> None:
     parser = ArgumentParser(description=__doc__)
     parser.add_argument("--strengths", nargs="+", type=float, default=list(STRENGTHS))
     parser.add_argument("--first", type=int, default=0, help="seed of the first log")
+    parser.add_argument("--set", type=int, default=1, help="of effects, see tests/hidden/catalogue.py")
     parser.add_argument("--part", type=int, default=1, help="only every so many-th effect")
     parser.add_argument("--workers", type=int, default=-1)
     parser.add_argument("--out", type=Path, help="append each answer as a line of JSON")
     options = parser.parse_args()
     for strength in options.strengths:
-        chosen = cases((strength,), options.first)[:: options.part]
+        chosen = cases((strength,), options.first, options.set)[:: options.part]
         stream = Parallel(n_jobs=options.workers, return_as="generator")(
             delayed(diagnose_case)(case) for case in chosen
         )

@@ -7,7 +7,9 @@ from tests.hidden.effects import (
     loads,
     outside,
     outside_history,
+    outside_second,
     outside_state,
+    outside_third,
     parts,
     readings,
     stops,
@@ -74,4 +76,11 @@ OUTSIDE_LIBRARY: dict[str, dict[str, Maker]] = {
     "unknown:session": outside_history.SESSION,
 }
 
-EFFECTS = {**CAUSES, **OUTSIDE, **OUTSIDE_LIBRARY}
+# Sets by number; those after the first were written by people who had not seen the diagnosis.
+OUTSIDE_SETS: dict[int, dict[str, dict[str, Maker]]] = {
+    1: OUTSIDE_LIBRARY,
+    2: outside_second.SECOND,
+    3: outside_third.THIRD,
+}
+
+EFFECTS = {**CAUSES, **OUTSIDE, **OUTSIDE_LIBRARY, **outside_second.SECOND, **outside_third.THIRD}

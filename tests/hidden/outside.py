@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.hidden.catalogue import OUTSIDE_LIBRARY
+from tests.hidden.catalogue import OUTSIDE_SETS
 from tests.hidden.effect import change
 from tests.hidden.generate import CHECK_EVERY, Hidden, UnreachableError, hide
 from tests.hidden.physics import Array
@@ -23,7 +23,7 @@ ANOTHER_SEED, MAX_TRIES = 100_000, 30
 
 @dataclass(frozen=True)
 class OutsideCase:
-    """A log to make, with one effect of `OUTSIDE_LIBRARY`."""
+    """A log to make, with one effect of `OUTSIDE_SETS`."""
 
     name: str
     form: str
@@ -49,19 +49,19 @@ class OutsideCase:
         return bool(effect["share_of_largest"] <= 1)
 
 
-def cases(strengths: tuple[float, ...], first: int = 0) -> list[OutsideCase]:
-    """One for each effect and strength, over designs and noises in turn.
+def cases(strengths: tuple[float, ...], first: int = 0, number: int = 1) -> list[OutsideCase]:
+    """One for each effect of a set and each strength, over designs and noises in turn.
 
     An effect that is not plausible at the strength in a design takes the next design, then other seeds.
     """
     found = []
-    pairs = [(name, form) for name, forms in OUTSIDE_LIBRARY.items() for form in forms]
-    for number, (name, form) in enumerate(pairs):
+    pairs = [(name, form) for name, forms in OUTSIDE_SETS[number].items() for form in forms]
+    for place, (name, form) in enumerate(pairs):
         for strength in strengths:
             tries = (
                 OutsideCase(
-                    name, form, DESIGNS[(number + turn) % 3], NOISES[(number // 3) % 3], strength,
-                    first + number + ANOTHER_SEED * (turn // 3),
+                    name, form, DESIGNS[(place + turn) % 3], NOISES[(place // 3) % 3], strength,
+                    first + place + ANOTHER_SEED * (turn // 3),
                 )
                 for turn in range(MAX_TRIES)
             )  # fmt: skip

@@ -13,7 +13,7 @@ REST = 1 / 3  # h: how long a joint takes to settle after a traverse
 LARGEST_FOLLOWING = 3.0  # of the residual before
 
 
-def _ends(c: Campaign) -> tuple[Array, Array]:
+def ends(c: Campaign) -> tuple[Array, Array]:
     """Where each traverse starts and stops, as shares of the joint's whole travel."""
     settings = c.plan.settings[:, 5:] * np.where(c.plan.joint == 3, MM, DEG)[:, None]
     begin, end = np.array([(np.nan, np.nan), *(FULL[joint] for joint in (1, 2, 3))]).T
@@ -24,7 +24,7 @@ def _ends(c: Campaign) -> tuple[Array, Array]:
 
 def _length_before(c: Campaign, rng: Rng) -> Array:
     """Logarithm of the length of the joint's traverse before; of a session's first, of the whole travel."""
-    start, stop = _ends(c)
+    start, stop = ends(c)
     return np.log(c.previous(np.abs(stop - start), first=1.0))
 
 
@@ -50,7 +50,7 @@ def _rest(c: Campaign, rng: Rng) -> Array:
 
 def _gap(c: Campaign, rng: Rng) -> Array:
     """How far from the end of the joint's traverse before this one begins."""
-    start, stop = _ends(c)
+    start, stop = ends(c)
     return np.where(c.before >= 0, np.abs(start - c.previous(stop)), 0.0)
 
 
