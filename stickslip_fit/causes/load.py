@@ -47,7 +47,7 @@ class SideLoad(FactorCause):
     """Joint 3: gamma times 1 - k sqrt(1 - u^2)."""
 
     name = "side-load"
-    phrase = "the load across the guide costs step size"
+    phrase = "the step size follows the load across the guide"
     physics = (
         "What of the arm's weight does not act along the guide presses it against its bearing, sqrt(1 - "
         "u^2) of it, and friction grows with that force (Coulomb's law)."

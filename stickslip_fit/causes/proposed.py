@@ -22,19 +22,20 @@ from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.parameters import CauseParameter, Row
 from stickslip_fit.causes.smooth import LinearFactor, LogLinearFactor, cosines, harmonics, wave_products
 from stickslip_fit.laws import State, StepLaw, state_at
-from stickslip_fit.logs.history import JOINT_USE, USE
+from stickslip_fit.logs.history import JOINT_USE, OTHER_USE, PAUSES, USE
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.units import COORDINATE_UNITS, from_si, share_per
 
 ANGLES = ("q1", "q2", "q3", "theta", "psi")  # the joint's own excepted, which is the position
 POSITION, LOAD, BEFORE_DIRECTION = "position", "load", "before_direction"
 LENGTH = "own_length"  # of the traverse, rad or m
-PAUSES = ("pause", "joint_pause")  # s, of which a function follows the logarithm
+ZETA = "zeta"  # psi - q2, by which the published laws of joints 2 and 3 have the load
 FORMULA_NAMES = {
     "session_seconds": "session time",
     **{name: f"log(1 + {name.replace('_', ' ')} / s)" for name in PAUSES},
     **{name: f"travels in {seconds / 60.0:.0f} min" for name, seconds in USE.items()},
     **{name: f"own travels in {seconds / 60.0:.0f} min" for name, seconds in JOINT_USE.items()},
+    **{name: f"other travels in {seconds / 60.0:.0f} min" for name, seconds in OTHER_USE.items()},
 }  # of carriers in formulas, where they have not their own
 SMOOTH_SCALE = 0.01  # of a smooth function's coefficients
 Mode = Literal["same", "opposite"]
@@ -53,18 +54,20 @@ def carrier_values(state: State, carrier: str) -> Array:
         return np.abs(state.column("stop") - state.column("start"))
     if carrier == f"q{state.joint}":
         return np.full((len(state.position), 1), np.nan)
+    if carrier == ZETA:
+        return np.asarray(state.psi - state.q2 + np.zeros((len(state.position), 1)))
     if carrier in ANGLES:
         return np.asarray(getattr(state, carrier) + np.zeros((len(state.position), 1)))
     if carrier == BEFORE_DIRECTION:
         before = np.asarray(state.row[carrier], dtype=object)[:, None]
         return np.asarray((before == "+") * 1.0 - (before == "-"))
-    values = state.column(carrier)
+    values = state.column(carrier)  # of a time since something a function follows the logarithm
     return np.log1p(np.maximum(values, 0.0)) if carrier in PAUSES else values
 
 
 def carrier_columns(carrier: str) -> tuple[str, ...]:
     """The column of a log in which a carrier is; none of what follows from the traverse itself."""
-    return () if carrier in (*ANGLES, POSITION, LOAD, LENGTH) else (carrier,)
+    return () if carrier in (*ANGLES, ZETA, POSITION, LOAD, LENGTH) else (carrier,)
 
 
 @dataclass(frozen=True)
@@ -337,11 +340,14 @@ class PeriodicTerm(SmoothTerm):
     ----------
     period : float
         In the unit of the carrier.
+    n_slow : int
+        Functions of each session's time by which the wave's size and phase may change in it; 0 for none.
     """
 
     orders: tuple[tuple[int, ...], ...] = ((1,), (2,))  # the cosine and the sine of each harmonic
     sds: tuple[float, ...] = (SMOOTH_SCALE, SMOOTH_SCALE)
     period: float = 1.0
+    n_slow: int = 0
 
     name = "periodic-function"
     phrase = "steps come and go with a period that no cause describes"
@@ -358,9 +364,14 @@ class PeriodicTerm(SmoothTerm):
         return text + ", opposite" * (self.mode == "opposite")
 
     def waves(self, values: Sequence[Array], limits: Sequence[tuple[float, float]]) -> list[Array]:
-        """See `SmoothTerm.waves`: cosine and sine of each harmonic."""
-        (clock,) = values
-        return [harmonics(clock, self.period, len(self.orders) // 2)]
+        """See `SmoothTerm.waves`: cosine and sine of each harmonic, each by itself and times slow cosines."""
+        (clock,), ((low, high),) = values, limits
+        fast = harmonics(clock, self.period, len(self.orders) // 2 // (1 + self.n_slow))
+        if not self.n_slow:
+            return [fast]
+        slow = cosines(clock, low, high, self.n_slow)
+        slow = np.concatenate([np.ones((*clock.shape, 1)), slow], axis=-1)
+        return [(slow[..., :, None] * fast[..., None, :]).reshape(*clock.shape, -1)]
 
 
 def _only(group: Sequence[tuple[int, str]]) -> tuple[int | None, str | None]:

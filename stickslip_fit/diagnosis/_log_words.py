@@ -19,6 +19,7 @@ from stickslip_fit._format import (
     pluralize,
 )
 from stickslip_fit.causes import EndStopMisfire
+from stickslip_fit.causes.function_of_cause import FunctionOfCause
 from stickslip_fit.causes.parameters import plain_description
 from stickslip_fit.causes.profile import AlongTravel
 from stickslip_fit.causes.proposed import SmoothTerm
@@ -28,6 +29,8 @@ from stickslip_fit.diagnosis._unknown_summary import (
     describe_proposal,
     describe_scatter,
     describe_unknown_gain,
+    find_extremes,
+    format_carriers,
     name_carrier,
 )
 from stickslip_fit.diagnosis._words import Words, baseline_name
@@ -35,8 +38,9 @@ from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import MISFIRE, DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
-from stickslip_fit.diagnosis.travel_profile import format_extremes
+from stickslip_fit.diagnosis.travel_profile import TravelProfile, format_extremes
 from stickslip_fit.estimation._gaps import fill_gaps
+from stickslip_fit.units import Z_95
 
 MANY_SESSIONS = 3  # above which they are counted instead of named
 STANDS_OUT = 2.0  # times the profile of any other session
@@ -85,9 +89,10 @@ class LogWords(Words):
 
     def tell_no_finding(self) -> list[str]:
         diagnosis = self.diagnosis
+        absorbed = ", of which the fit takes up a part" * (diagnosis.misfit < diagnosis.repeatability)
         text = (
             f"Nothing is wrong that this log can show: the {baseline_name(diagnosis)} leaves "
-            f"{format_percent(diagnosis.misfit)} rms, and {describe_scatter(diagnosis)} "
+            f"{format_percent(diagnosis.misfit)} rms, and {describe_scatter(diagnosis)}{absorbed} "
             f"(p {format_p_value(diagnosis.p_value, relation=True)})."
         )
         if not np.isfinite(diagnosis.repeatability):
@@ -127,7 +132,9 @@ class LogWords(Words):
 
         Empty where parameters tell it, and where each session has a function and none stands out.
         """
-        profiles = sorted(finding.travel, key=lambda one: -one.rms)
+        if isinstance(finding.version, FunctionOfCause):
+            return self._describe_curve(finding)
+        profiles = sorted(filter(_is_known, finding.travel), key=lambda one: -one.rms)
         if not profiles or not isinstance(finding.version, AlongTravel | SmoothTerm):
             return ""
         begin, session = "", profiles[0].session
@@ -147,6 +154,16 @@ class LogWords(Words):
             told.append(f"{scope}steps are smallest at {least} and largest at {most}")
         text = begin + "; ".join(told)
         return f" {capitalize_first(text)}."
+
+    def _describe_curve(self, finding: Finding) -> str:
+        """Where the curve of a cause is at its extremes, as a sentence with a space before it."""
+        (most, high), (least, low) = find_extremes(finding, self.diagnosis)
+        carriers = finding.version.carriers
+        largest, smallest = (format_carriers(carriers, row, self.diagnosis) for row in (most, least))
+        return (
+            f" Steps are smallest at {smallest} ({format_percent(low, signed=True)}) and largest at "
+            f"{largest} ({format_percent(high, signed=True)})."
+        )
 
     def _describe_excess(self) -> str:
         """That held-out errors are far above the noise, as a sentence with a space before it; else empty."""
@@ -183,6 +200,11 @@ class LogWords(Words):
                 "calibrated."
             )
         return f"{what} {cut}; {scatter}.{following}"
+
+
+def _is_known(profile: TravelProfile) -> bool:
+    """Whether any of its extremes is more than its error."""
+    return bool(np.any(np.abs(profile.change) > Z_95 * profile.error))
 
 
 def knows_calibration(diagnosis: Diagnosis) -> bool:

@@ -25,11 +25,18 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._summary import Column, Table, numbers
 from stickslip_fit.causes.profile import AlongTravel
-from stickslip_fit.causes.proposed import PAUSES
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, closest_cause
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
-from stickslip_fit.logs.history import DEPARTURES, JOINT_USE, RECENT_USE, USE
+from stickslip_fit.logs.history import (
+    DEPARTURES,
+    JOINT_USE,
+    LATE_TEMPERATURE,
+    OTHER_USE,
+    PAUSES,
+    RECENT_USE,
+    USE,
+)
 from stickslip_fit.logs.log import has_replicates
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, is_coordinate
 from stickslip_fit.machine import Machine, load_machine, mean_load
@@ -40,7 +47,7 @@ if TYPE_CHECKING:
 
     from stickslip_fit.diagnosis import Diagnosis
 
-POSITION, LOAD, LENGTH, BEFORE_JOINT = "position", "load", "own_length", "before_joint"
+POSITION, LOAD, LENGTH, ZETA, BEFORE_JOINT = "position", "load", "own_length", "zeta", "before_joint"
 PERIOD_OF, SETTINGS_OF = "period of ", "settings of "  # with which some carriers begin
 MIN_EXPLAINED, MAX_EXPLAINING = 0.05, 5  # share of a structure; causes in the table
 MIN_CLOSE = 0.1  # share of a structure that a cause explains, from which it is called close
@@ -52,20 +59,34 @@ CARRIER_PHRASES = {
     "configuration": "depends on the configuration, in both directions alike",
     "configuration and direction": "depends on configuration and direction",
 }
+SINCE = {
+    "pause": "since the traverse before",
+    "joint_pause": "since the joint's traverse before",
+    "other_pause": "since another joint moved",
+    "tilt_age": "since the arm was tilted",
+}
 COLUMN_WORDS = {
     "before_direction": "the direction of the traverse before",
     "before_load": "the load of the traverse before",
     "before_length": "the length of the joint's traverse before, as a share of its travel",
     "before_gap": "the distance from where the joint last stopped, as a share of its travel",
     BEFORE_JOINT: "the joint that moved before",
+    "other_load": "the load of the last traverse of another joint",
     "departure_before": "the departure of the traverse before",
     "joint_departure_before": "the departure of the joint's traverse before",
-    "pause": "the pause since the traverse before",
-    "joint_pause": "the pause since the joint's traverse before",
+    **{name: f"the time {since}" for name, since in SINCE.items()},
     **{name: f"the travel in the last {seconds / 60.0:.0f} min or so" for name, seconds in USE.items()},
     **{
         name: f"the joint's own travel in the last {seconds / 60.0:.0f} min or so"
         for name, seconds in JOINT_USE.items()
+    },
+    **{
+        name: f"the travel of the other joints in the last {seconds / 60.0:.0f} min or so"
+        for name, seconds in OTHER_USE.items()
+    },
+    **{
+        name: f"the temperature some {seconds / 60.0:.0f} min late"
+        for name, seconds in LATE_TEMPERATURE.items()
     },
     "session_seconds": "the time in the session",
     "session_order": "the number of traverses in the session",
@@ -74,6 +95,7 @@ COLUMN_WORDS = {
     POSITION: "the joint's own position",
     LENGTH: "the length of the traverse",
     LOAD: "the load",
+    ZETA: "the angle zeta = psi − q2",
 }
 
 
@@ -144,13 +166,14 @@ def describe_proposal(finding: Finding) -> str:
     steps, worth = _name_steps(finding), _describe_worth(finding)
     if not finding.term and hasattr(finding.version, "period"):
         period = describe_carrier(finding.carrier).replace("comes and goes", "come and go")
-        return f"{steps} {period}, which no known cause does; a wave for each session is proposed; {worth}"
+        return (
+            f"{steps} {period}, which no known cause does; a wave{_name_each(finding)} is proposed; {worth}"
+        )
     if not finding.term:
         what = "both" if len(getattr(finding.version, "carriers", ())) > 1 else "it"
-        each = " for each session" if getattr(finding.version, "sessions", ()) else ""
         return (
             f"{steps} follow {name_carriers(finding)} in a way that no known cause describes; "
-            f"a smooth function of {what}{each} is proposed; {worth}"
+            f"a smooth function of {what}{_name_each(finding)} is proposed; {worth}"
         )
     sizes = [
         f"{one.name}{f' ({format_direction(one.direction)})' if one.direction else ''} = "
@@ -164,6 +187,13 @@ def describe_proposal(finding: Finding) -> str:
     return f"{steps} follow {name_carriers(finding)} in a way that no known cause describes; {what}; {worth}"
 
 
+def _name_each(finding: Finding) -> str:
+    """Of what each has a function of its own."""
+    if len(getattr(finding.version, "sessions", ())) > 1:
+        return " for each session"
+    return " for each joint and direction" if getattr(finding.version, "each", False) else ""
+
+
 def name_carriers(finding: Finding) -> str:
     """What a proposal follows, in words."""
     carriers = tuple(dict.fromkeys(getattr(finding.version, "carriers", ())))
@@ -173,16 +203,18 @@ def name_carriers(finding: Finding) -> str:
     ways = f"{OPPOSITE}," if opposite else ""
     partly = "in part " if getattr(finding.version, "common", 0.0) else ""
     in_sessions = (
-        f", {partly}differently in each session," if getattr(finding.version, "sessions", ()) else ""
+        f", {partly}differently in each session," if len(getattr(finding.version, "sessions", ())) > 1 else ""
     )
     return f"{words}{together}{ways}{in_sessions}".replace(",,", ",")
 
 
 def _name_steps(finding: Finding) -> str:
     joints = [str(joint) for joint in finding.joints]
+    directions = {direction for _, direction in getattr(finding.version, "on", ())}
+    only = f" in direction {format_direction(*directions)}" if len(directions) == 1 else ""
     if len(joints) == 1:
-        return f"Joint {joints[0]}'s steps"
-    return f"The steps of joints {join_words(joints)}" if joints else "Steps"
+        return f"Joint {joints[0]}'s steps{only}"
+    return f"The steps of joints {join_words(joints)}{only}" if joints else f"Steps{only}"
 
 
 def _describe_worth(finding: Finding) -> str:
@@ -294,31 +326,48 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
         return (
             f"What the sessions have in common {does} another session, too; the rest predicts its own only."
         )
-    if getattr(finding.version, "sessions", ()):
-        return "Another session will have another one, so that this one predicts within its session only."
+    if sessions := getattr(finding.version, "sessions", ()):
+        own = "Each session has its own" if len(sessions) > 1 else "It is that of this session"
+        return f"{own}; the law has none for a session to come."
+    most, least = find_extremes(finding, diagnosis)
+    where = f"{_format_extreme(finding, diagnosis, *most)} and {_format_extreme(finding, diagnosis, *least)}"
+    return f"To test it, repeat traverses where it is at its extremes, all else alike: {where}."
+
+
+def find_extremes(finding: Finding, diagnosis: Diagnosis) -> list[tuple[pd.Series[Any], float]]:
+    """The traverses on which a function makes steps largest and smallest, each with the change.
+
+    Within one joint and direction, so that nothing else has to differ between the two.
+    """
     selection = diagnosis.selection
     version, rows = selection.behind(finding).version, selection.problem.rows
     # The change of the count is minus the sum of each parameter times its function.
     change = version.of_sum(-term_change(selection, version))[0] - 1.0
-    machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
-    # Within one joint and direction, so that nothing else has to differ.
     groups = rows.groupby(["joint", "direction"], observed=True).indices.values()
     # A traverse without one before it has no value to repeat.
+    carriers: tuple[str, ...] = getattr(finding.version, "carriers", ())
     columns = [rows[name] for name in carriers if name in rows and not is_coordinate(name)]
     known = np.all([np.ones(len(rows), dtype=bool), *(one.notna() & (one != "") for one in columns)], axis=0)
     groups = [places[known[places]] for places in groups if known[places].any()]
     inside = max(groups, key=lambda places: float(np.ptp(change[places])))
-    places = []
-    for extreme in (np.argmax, np.argmin):
-        place = int(inside[extreme(change[inside])])
-        row, size = rows.iloc[place], float(change[place])
-        way = "" if _is_same_both_ways(finding) else f" {format_direction(str(row['direction']))}"
-        where = join_words([_format_carrier(name, row, machine) for name in carriers if name != BEFORE_JOINT])
-        where = f" at {where}" if where else ""
-        after = f" after joint {row[BEFORE_JOINT]:.0f}" if BEFORE_JOINT in carriers else ""
-        places.append(f"joint {row['joint']}{way}{where}{after} (steps {format_percent(size, signed=True)})")
-    where = " and ".join(places)
-    return f"To test it, repeat traverses where it is at its extremes, all else alike: {where}."
+    places = [int(inside[extreme(change[inside])]) for extreme in (np.argmax, np.argmin)]
+    return [(rows.iloc[place], float(change[place])) for place in places]
+
+
+def _format_extreme(finding: Finding, diagnosis: Diagnosis, row: pd.Series[Any], size: float) -> str:
+    """A traverse, by its carriers, and how large the function is there."""
+    carriers: tuple[str, ...] = getattr(finding.version, "carriers", ())
+    way = "" if _is_same_both_ways(finding) else f" {format_direction(str(row['direction']))}"
+    where = format_carriers([name for name in carriers if name != BEFORE_JOINT], row, diagnosis)
+    where = f" at {where}" if where else ""
+    after = f" after joint {row[BEFORE_JOINT]:.0f}" if BEFORE_JOINT in carriers else ""
+    return f"joint {row['joint']}{way}{where}{after} (steps {format_percent(size, signed=True)})"
+
+
+def format_carriers(carriers: Sequence[str], row: pd.Series[Any], diagnosis: Diagnosis) -> str:
+    """Names of carriers and their values on one traverse."""
+    machine = load_machine() if diagnosis.log is None else diagnosis.log.machine
+    return join_words([_format_carrier(name, row, machine) for name in carriers])
 
 
 def _is_same_both_ways(finding: Finding) -> bool:
@@ -333,6 +382,10 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
     label = name_carrier(name)
     if is_coordinate(name):
         return format_coordinate(name, float(row[name]), machine)
+    if name == ZETA:
+        joint = int(row["joint"])
+        q2 = (row["start"] + row["stop"]) / 2 if joint == 2 else row["q2"]
+        return f"zeta = {from_si(float(row['psi'] - q2), 'deg'):.0f}°"
     if name == POSITION:
         joint = int(row["joint"])
         return f"q{joint} about {format_position(float(row['start'] + row['stop']) / 2, joint, machine)}"
@@ -349,14 +402,16 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
         return f"{label} {format_direction(str(row[name])) or 'unknown'}"
     value, unit = float(row[name]), ""
     if name in RECENT_USE:
-        whose, minutes = " of its own" if name in JOINT_USE else "", from_si(RECENT_USE[name], "min")
-        return f"{format_significant(value, 3)} full travels{whose} in the last {minutes:.0f} min or so"
+        whose = " of its own" if name in JOINT_USE else " of the other joints" if name in OTHER_USE else ""
+        minutes = from_si(RECENT_USE[name], "min")
+        return f"{value:.2f} full travels{whose} in the last {minutes:.0f} min or so"
     if name == "session_seconds":
         value, unit = from_si(value, "h"), " h"
     elif name in PAUSES:
-        value, unit = from_si(value, "min"), " min"
-    elif name in CONDITIONS:
-        value, unit = from_si(value, CONDITIONS[name].unit), f" {CONDITIONS[name].unit}"
+        return f"{format_significant(from_si(value, 'min'), 3)} min {SINCE[name]}"
+    elif name in CONDITIONS or name in LATE_TEMPERATURE:
+        shown = CONDITIONS["temperature" if name in LATE_TEMPERATURE else name].unit
+        value, unit = from_si(value, shown), f" {shown}"
     return f"{label} {format_significant(float(value), 3)}{unit}"
 
 

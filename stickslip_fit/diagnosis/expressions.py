@@ -21,6 +21,7 @@ from stickslip_fit.causes.proposed import (
     LENGTH,
     LOAD,
     POSITION,
+    ZETA,
     CarrierFunction,
     Mode,
     ProposedTerm,
@@ -28,7 +29,7 @@ from stickslip_fit.causes.proposed import (
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.smooth_alternatives import MIN_SHARE, Carrier, find_carriers, traverse_average
-from stickslip_fit.logs.history import FURTHER_HISTORY
+from stickslip_fit.logs.history import FURTHER_HISTORY, LATE_TEMPERATURE
 from stickslip_fit.logs.schema import CONDITIONS, is_coordinate
 from stickslip_fit.units import from_si, to_si
 
@@ -146,7 +147,7 @@ def build_log_dictionary(linearized: LinearizedFit, machine: JointKinds) -> Dict
     products: list[tuple[CarrierFunction, ...]] = [(factor,) for factor, _ in single]
     columns = [values for _, values in single]
     for (one, values), (other, others) in combinations(single, 2):
-        if {one.carrier, other.carrier} & {*FURTHER_HISTORY}:
+        if {one.carrier, other.carrier} & {ZETA, *FURTHER_HISTORY}:
             continue
         if one.carrier != other.carrier and "x" in (one.expression, other.expression):
             products.append((one, other))
@@ -212,8 +213,10 @@ def _functions(carrier: Carrier, machine: JointKinds) -> Iterator[CarrierFunctio
     What they are shifted and divided by has as many digits as a formula shows, so that it is what it says.
     """
     name, plain = carrier.name, ("x", "x^2", "|x|")
-    if name == POSITION or is_coordinate(name):
-        shown = "" if name == POSITION else coordinate_unit(name, machine)
+    if name in (POSITION, ZETA) or is_coordinate(name):
+        shown = (
+            {POSITION: "", ZETA: "deg"}[name] if name in (POSITION, ZETA) else coordinate_unit(name, machine)
+        )
         for expression in (*plain, *(() if shown == "mm" else OF_ANGLES)):
             yield CarrierFunction(expression, name, shown=shown)
     elif name in (LOAD, BEFORE_DIRECTION, "before_load"):
@@ -225,7 +228,8 @@ def _functions(carrier: Carrier, machine: JointKinds) -> Iterator[CarrierFunctio
             is_time = shown and expression != "log(1 + x)"
             yield CarrierFunction(expression, name, 0.0, 1.0 if is_time else unit, shown)
     else:
-        shown = CONDITIONS[name].unit if name in CONDITIONS else ""
+        column = "temperature" if name in LATE_TEMPERATURE else name
+        shown = CONDITIONS[column].unit if column in CONDITIONS else ""
         apart = "K" if shown == "°C" else shown
         unit = _round((carrier.high - carrier.low) / 2, apart)
         middle = _round(float(np.nanmean(carrier.values)), shown, _from_si(unit, apart))

@@ -15,6 +15,7 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.testability import is_log
+from stickslip_fit.logs.history import follow_late
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times
 
 LAGS = 60.0 * np.array([2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0])  # s
@@ -73,7 +74,7 @@ def delay(rows: pd.DataFrame, values: Array, lag: float) -> Array:
 
 
 def low_pass(rows: pd.DataFrame, values: Array, lag: float) -> Array:
-    """Values behind a low-pass filter of the first order, linear between rows, at rest as a session begins.
+    """Values as a body of one time constant follows them in each session, see `follow_late`.
 
     Parameters
     ----------
@@ -83,14 +84,5 @@ def low_pass(rows: pd.DataFrame, values: Array, lag: float) -> Array:
     lag : float
         Time constant, s.
     """
-    filtered = values.copy()
-    for places in rows.groupby("session", sort=False, observed=True).indices.values():
-        seconds, own = rows["session_seconds"].to_numpy(float)[places], values[places]
-        lacking = 0.0
-        for k in range(1, len(places)):
-            passed = seconds[k] - seconds[k - 1]
-            kept = np.exp(-passed / lag)
-            rise = (own[k] - own[k - 1]) * (lag / passed * (1.0 - kept) if passed > 0 else 1.0)
-            lacking = lacking * kept + rise
-            filtered[places[k]] = own[k] - lacking
-    return filtered
+    session = pd.factorize(rows["session"].astype(object))[0].astype(np.int64)
+    return follow_late(values, rows["session_seconds"].to_numpy(float), session, lag)

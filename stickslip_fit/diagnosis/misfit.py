@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import compress
 from operator import and_, not_
@@ -117,6 +117,9 @@ def remove_structure(
     return StructureRemoved(left, shape.leverage(kept), float(log_evidence[best]))
 
 
+MIN_AHEAD = 1e-3  # nats, more than rounding
+
+
 @dataclass(frozen=True, eq=False)
 class Misfit:
     """The misfit test of some residuals.
@@ -170,6 +173,15 @@ class Misfit:
         """A cause whose form contains that of this one; empty where there is none."""
         versions: list[Any] = [self.hypotheses[place].version for place in self._places.get(cause, ())]
         return next((one.special_case_of for one in versions if one is not None), "")
+
+    def with_likeliest(self, shape: Hypothesis) -> Misfit:
+        """The test with an unstructured alternative that takes the place of the likeliest one."""
+        hypotheses = (*self.hypotheses, shape)
+        evidence = np.append(self.log_evidence, self.log_evidence.max() + MIN_AHEAD)
+        causes = [classify_cause(one) for one in hypotheses]
+        unknown = average_by_cause(causes, weigh_hypotheses(hypotheses, causes), evidence)[UNKNOWN]
+        by_cause = self.log_evidence_by_cause | {UNKNOWN: unknown}
+        return replace(self, hypotheses=hypotheses, log_evidence=evidence, log_evidence_by_cause=by_cause)
 
     def best_hypothesis(self, cause: str) -> Hypothesis | AR1:
         """The likeliest shape of a cause; of all causes, if this one has no shape."""

@@ -3,9 +3,8 @@
 `propose_term` searches a dictionary of short expressions (`expressions`). The best is proposed where it would
 gain nearly as much on a replicate as the best smooth function, and explains more than the best expression of
 noise alone does; otherwise the smooth function takes its place, of sessions the average over its forms
-(`averaged_forms`). Where memory is likelier than any function,
-what carries over from the traverse before is proposed. It is part of `select_causes`, so that each fold
-searches anew.
+(`averaged_forms`). Where memory is likelier than any of these, what carries over from the traverse before is
+proposed. It is part of `select_causes`, so that each fold searches anew.
 """
 
 from __future__ import annotations
@@ -33,11 +32,13 @@ from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause, remo
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
 MEMORY_MARGIN = 3.0  # nats by which an autoregression is likelier, whose noise looks like many a function
+MAX_CLOSER = 5  # functions that are looked at more closely where memory is likelier
 FACTOR_COST = 2.0  # of the squared residuals that a second factor has to explain
 FINE_LENGTHS = (0.05, 0.03)  # of functions of one carrier, of the range of their cosines
 CLEARLY_LIKELIER = 5.0  # nats, by which another function is likelier than the usual one
 SURFACE_LENGTHS = (1.0, 0.6, 0.4)  # of functions of two carriers, of their ranges
 NUMBERS_OF_HARMONICS = (1, 2, 4, 8)  # of a wave: the likeliest, from a pure one to one with a jump
+CHANGE_LENGTHS = (1.0, 0.4, 0.15)  # correlation lengths of a wave's size and phase, of a session
 N_PERIODS = 21  # between the two neighbours of a period that was tried
 MIN_GAIN_SHARE = 0.95  # of the smooth function's gain, with which a short expression is preferred
 N_NULL_LOGS, NULL_LEVEL = 200, 0.01
@@ -56,23 +57,34 @@ def propose_term(
     misfit = unknown.misfit
     if unknown.cause != UNKNOWN or unknown.version is not None or misfit is None:
         return list(selected)
+    smooth, memory = rank_forms(misfit, linearized.rows)
     (evidence, shape), (to_beat, ar1) = (
         (misfit.log_evidence[places[0]], misfit.hypotheses[places[0]]) if places else (-np.inf, None)
-        for places in rank_forms(misfit, linearized.rows)
+        for places in (smooth, memory)
     )
-    if evidence < max(MIN_STAND_IN_LOG_BAYES_FACTOR, to_beat - MEMORY_MARGIN):
-        least = max(MIN_STAND_IN_LOG_BAYES_FACTOR, evidence)
+    least = max(MIN_STAND_IN_LOG_BAYES_FACTOR, to_beat - MEMORY_MARGIN)
+    carriers: Sequence[str] = shape.version.carriers if isinstance(shape, Hypothesis) else ()
+    term = _find_term(linearized, misfit, expressions(linearized), carriers, rng)
+    if evidence < least <= to_beat:
+        closer = [(evidence, shape), *_look_closer(linearized, misfit, smooth, term)]
+        evidence, shape = max(closer, key=lambda one: one[0])
+    if evidence < least:
         if not isinstance(ar1, AR1) or ar1.term is None or to_beat < least:
             return list(selected)
         start = np.array([ar1.coefficient])
         return [*others, replace(unknown, version=ar1.term, start=start, tested=linearized)]
     assert isinstance(shape, Hypothesis)
-    term = _find_term(linearized, misfit, expressions(linearized), shape.version.carriers, rng)
-    if term is not None and term.expected_gain >= MIN_GAIN_SHARE * _expected_gain(shape, misfit.residual):
+    if to_beat > evidence or all(shape is not one for one in misfit.hypotheses):
+        unknown = replace(unknown, misfit=misfit.with_likeliest(shape))
+    least_gain = MIN_GAIN_SHARE * _expected_gain(shape, misfit.residual)
+    if term is not None and (shape.version is term.version or term.expected_gain >= least_gain):
         return [*others, replace(unknown, version=term.version, start=term.start, tested=linearized)]
     if isinstance(shape.version, PeriodicTerm | PeriodicTableTerm):
         shape = _likeliest(_periods_about(shape.version), shape, linearized, misfit.residual)
-        versions = [_with_harmonics(shape.version, number) for number in NUMBERS_OF_HARMONICS]
+        wave: Any = shape.version
+        versions = [_with_harmonics(wave, number) for number in NUMBERS_OF_HARMONICS]
+        if isinstance(wave, PeriodicTerm):
+            versions += [_with_changes(wave, length) for length in CHANGE_LENGTHS]
         shape = _likeliest(versions, shape, linearized, misfit.residual)
     elif isinstance(shape.version, SmoothTerm) and len(shape.version.carriers) == 2:
         shape = _likeliest(_as_surfaces(shape.version), shape, linearized, misfit.residual)
@@ -84,6 +96,35 @@ def propose_term(
     size = _fit_strength(shape, misfit.residual, linearized.df)
     version = shape.version.with_amplitude(size.strength * np.sqrt(size.noise) / shape.length)
     return [*others, _without_start(unknown, version, linearized)]
+
+
+def _look_closer(
+    linearized: LinearizedFit, misfit: Misfit, smooth: Sequence[int], term: _Term | None
+) -> list[tuple[float, Hypothesis]]:
+    """Functions of one carrier with details, and a short expression, each with its evidence in nats.
+
+    What comes and goes as noise with memory does may be a function too fine to be looked for, or follow two
+    columns that have memory themselves.
+    """
+    found, shapes = list[tuple[float, Hypothesis]](), [misfit.hypotheses[place] for place in smooth]
+    for shape in list(filter(_is_plain, shapes))[:MAX_CLOSER]:
+        assert isinstance(shape, Hypothesis)
+        fine = _likeliest(_with_details(shape.version), shape, linearized, misfit.residual)
+        found.append((_fit_strength(fine, misfit.residual, linearized.df).evidence, fine))
+    if term is not None:
+        effects = compute_effects(linearized, term.version, np.diag(term.start))
+        name = f"{UNKNOWN}:{' and '.join(term.version.carriers)}"
+        own = make_hypothesis(name, term.version, None, effects)
+        if own is not None:
+            evidence = _fit_strength(own, misfit.residual, linearized.df).evidence
+            found.append((evidence - np.log(term.n_tried), own))
+    return found
+
+
+def _is_plain(shape: Hypothesis | AR1) -> bool:
+    """Whether it is a smooth function of one carrier, the same in all sessions."""
+    term: Any = shape.version
+    return type(term) is SmoothTerm and len(term.carriers) == 1 and not term.sessions
 
 
 def _without_start(unknown: SelectedCause, version: Any, linearized: LinearizedFit) -> SelectedCause:
@@ -120,6 +161,13 @@ def _with_harmonics(wave: Any, number: int) -> Any:
     """A wave with so many harmonics, each expected to be smaller in proportion to its order."""
     sds = tuple(sd / k for k in range(1, number + 1) for sd in wave.sds[:2])
     return replace(wave, orders=tuple((k,) for k in range(1, len(sds) + 1)), sds=sds)
+
+
+def _with_changes(wave: PeriodicTerm, length: float) -> PeriodicTerm:
+    """A pure wave whose size and phase change as a smooth function of the time in the session does."""
+    slow = prior_sds(length)
+    sds = tuple(sd * times for times in (1.0, *map(float, slow)) for sd in wave.sds[:2])
+    return replace(wave, orders=tuple((k,) for k in range(1, len(sds) + 1)), sds=sds, n_slow=len(slow))
 
 
 def _as_surfaces(term: SmoothTerm) -> Iterable[SmoothTerm]:
@@ -168,12 +216,13 @@ class _Term:
     """A short expression, its start values, and what it would gain on a replicate.
 
     The gain is that of the squared whitened residuals: what is explained less twice the number of parameters
-    (Mallows' C_p).
+    (Mallows' C_p). It is the best of `n_tried`.
     """
 
     version: Any
     start: Array
     expected_gain: float
+    n_tried: int
 
 
 def _expected_gain(shape: Hypothesis, residual: Array) -> float:
@@ -208,4 +257,5 @@ def _find_term(
     if squares[place, best] - cost[place, 0] <= np.quantile(null, 1.0 - NULL_LEVEL):
         return None
     version, start = dictionary.make(place, best, dictionary.coefficients(place, best, misfit.residual))
-    return _Term(version, start, float(squares[place, best]) - 2.0 * len(start))
+    n_tried = int(np.isfinite(dictionary.squares).sum())
+    return _Term(version, start, float(squares[place, best]) - 2.0 * len(start), n_tried)

@@ -52,7 +52,7 @@ class Diagnosis(Summarized):
     ----------
     verdict : str
     findings : tuple of Finding
-        Largest effect first.
+        Largest effect first, structure without a name last.
     p_value : float
         Of the whole search; `misfit` says how it is computed.
     misfit : float

@@ -14,6 +14,7 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
+import pandas as pd
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import (
@@ -23,6 +24,7 @@ from stickslip_fit.causes.proposed import (
     LOAD,
     POSITION,
     SMOOTH_SCALE,
+    ZETA,
     SmoothTerm,
     TravelTerm,
     carrier_values,
@@ -37,21 +39,26 @@ from stickslip_fit.diagnosis.hypotheses import (
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.laws import state_at
-from stickslip_fit.logs.history import FURTHER_HISTORY
+from stickslip_fit.logs.history import FURTHER_HISTORY, LATE_TEMPERATURE
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, position_columns
 
 LENGTHS = (0.25, 0.1)  # correlation lengths, of the carrier's range
+SHORT = 0.04  # of the time in a session, in which other things may come and go faster
 BEYOND = 0.15  # of a range of positions, by which that of its functions is wider on either side
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)  # of a carrier along a traverse
 HISTORY = ("session_seconds", "steps_before", "before_load", BEFORE_DIRECTION)
 FURTHER_OF_TRAVERSE = tuple(name for name in FURTHER_HISTORY if name != "session_order")
 MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below which it is left out
 MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out
+MAX_LOST = 0.1  # of the square of several parts, up to which each may lose its own share by itself
 COMMON = 0.8  # of the variance of functions of sessions, where they have one in common
+# Correlation, above which a late temperature would only stand beside that of the room as its rival.
+MAX_LIKE_ROOM = 0.95
 SOME_VALUES = 1000  # of a carrier, among which distinct ones are counted first
 MIN_LENGTHS = 4  # distinct ones of a joint's traverses, of which a function is looked for
 MAX_NESTED = 240  # coefficients of such functions
-LOWEST, LOAD_ORDERS = ((1, 1),), 4  # orders of products, and of a coordinate with which a load may count
+# Orders of products, and of a coordinate with which a load may count.
+LOWEST, LOW, LOAD_ORDERS = ((1, 1),), ((1, 1), (1, 2), (2, 1), (2, 2)), 4
 # Distinct values of a carrier with which it has all functions.
 ENOUGH_DISTINCT = 2 + len(prior_sds(min(LENGTHS) / (1.0 + 2.0 * BEYOND)))
 
@@ -107,9 +114,16 @@ def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
     columns = [name for name in (*CONDITIONS, *own) if name in rows]
     history = [name for name in HISTORY if name in rows and rows[name].notna().all()]
     history += [name for name in FURTHER_OF_TRAVERSE if name in rows and rows[name].notna().any()]
+    history = [name for name in history if name not in LATE_TEMPERATURE or _is_late(rows, name)]
+    history = [
+        one for k, one in enumerate(history) if not any(rows[one].equals(rows[n]) for n in history[:k])
+    ]
     # A machine without the published geometry has no gravity load.
     load = (LOAD,) if rows["before_load"].notna().any() else ()
-    names = dict.fromkeys((*ANGLES, *position_columns(rows), *load, POSITION, LENGTH, *columns, *history))
+    # Where one of the two angles never changes, zeta is the other one.
+    zeta = (ZETA,) if load and rows["psi"].nunique() > 1 and rows["q2"].nunique() > 1 else ()
+    coordinates = (*ANGLES, *zeta, *position_columns(rows), *load, POSITION, LENGTH)
+    names = dict.fromkeys((*coordinates, *columns, *history))
     states = []
     for part, table in zip(linearized.parts, linearized.tables, strict=True):
         joint = getattr(part.law, "joint", None)
@@ -125,6 +139,13 @@ def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
             values[places] = each
         carriers.append(_make_carrier(name, values))
     return [carrier for carrier in carriers if carrier is not None]
+
+
+def _is_late(rows: pd.DataFrame, name: str) -> bool:
+    """Whether the temperature that follows late is clearly another than that of the room, in its sessions."""
+    session = rows["session"].astype(object)
+    both = [rows[one] - rows[one].groupby(session).transform("mean") for one in ("temperature", name)]
+    return bool(abs(both[0].corr(both[1])) < MAX_LIKE_ROOM)
 
 
 def _make_carrier(name: str, values: Array) -> Carrier | None:
@@ -169,6 +190,10 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         effects = builder.effects(functions)
         hypotheses += builder.shapes(name, term, effects)
         hypotheses += builder.by_session(name, term, effects) if name in ANGLES else []
+    for carrier in carriers:
+        if carrier.name == LOAD:
+            term, functions = _smooth_functions(carrier, max(LENGTHS))
+            hypotheses += builder.by_session(LOAD, term, builder.effects(functions))
     for joint, carrier in _of_each_joint(linearized, carriers, LENGTH):
         # Of few lengths any function is as good as the few steps that a late stop adds to each count.
         if carrier.distinct >= MIN_LENGTHS:
@@ -219,7 +244,9 @@ def _of_each_joint(
 
 def _lengths(carrier: Carrier) -> tuple[float, ...]:
     """Correlation lengths of functions of a carrier; the longest where it has few values."""
-    return LENGTHS if carrier.distinct - 1 > len(prior_sds(LENGTHS[0])) else LENGTHS[:1]
+    if carrier.distinct - 1 <= len(prior_sds(LENGTHS[0])):
+        return LENGTHS[:1]
+    return (*LENGTHS, SHORT) if carrier.name == "session_seconds" else LENGTHS
 
 
 def _smooth_functions(carrier: Carrier, length: float) -> tuple[SmoothTerm, Array]:
@@ -237,19 +264,21 @@ def _smooth_functions(carrier: Carrier, length: float) -> tuple[SmoothTerm, Arra
 def _interactions(one: str, other: str) -> Sequence[tuple[tuple[int, int], ...]]:
     """Orders of the products of two carriers' functions that are looked for.
 
-    Of any carrier with a coordinate or the load, and of two columns of the log, that of the lowest functions.
-    What turns with two joints, as cos(q1 + q2), and a load that counts more at some positions have more along
-    the joint's own travel.
+    Of any carrier with a coordinate or the load, and of two columns of the log, that of the lowest functions;
+    without history all of the lowest two, as what turns with two joints, cos(q1 + q2), or is largest in the
+    middle has. A load that counts more at some positions has more along the joint's own travel.
     """
     both = {one, other}
-    if both & {LENGTH, *FURTHER_HISTORY}:
+    if both & {LENGTH, ZETA, *FURTHER_HISTORY}:
         return ()
     if POSITION in both and both & {*ANGLES}:
-        return LOWEST, ((1, 1), (1, 2), (2, 1), (2, 2))
+        return LOWEST, LOW
     if both == {LOAD, POSITION}:
         return LOWEST, tuple((1, k) if one == LOAD else (k, 1) for k in range(1, LOAD_ORDERS + 1))
     of_log = [name in CONDITIONS or name.startswith(COVARIATE_PREFIX) for name in (one, other)]
-    return (LOWEST,) if both & {LOAD, POSITION, *ANGLES} or all(of_log) else ()
+    if not (both & {LOAD, POSITION, *ANGLES} or all(of_log)):
+        return ()
+    return (LOWEST,) if both & {*HISTORY} else (LOWEST, LOW)
 
 
 def _product(one: Carrier, other: Carrier, orders: tuple[tuple[int, int], ...]) -> tuple[SmoothTerm, Array]:
@@ -262,21 +291,32 @@ def _product(one: Carrier, other: Carrier, orders: tuple[tuple[int, int], ...]) 
 
 @dataclass(frozen=True, eq=False)
 class _Subspace:
-    """Orthonormal directions of some effects, their variances, and the rows outside of which they are 0."""
+    """Orthonormal directions of some effects, their variances, and the rows outside of which they are 0.
+
+    `lost` are the squares that other effects, which all rows share, have taken.
+    """
 
     rows: IntArray | slice
     directions: Array
     variance: Array
+    lost: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """Square of all effects."""
+        return float(self.variance.sum())
 
     @classmethod
-    def of(cls, rows: IntArray | slice, effects: Array, products: Array, least: float) -> _Subspace | None:
+    def of(
+        cls, rows: IntArray | slice, effects: Array, products: Array, least: float, lost: float = 0.0
+    ) -> _Subspace | None:
         """Of effects in some rows, (s, m), by their products; None where these come to less than `least`."""
         variance, right = (products[0], np.ones((1, 1))) if len(products) == 1 else np.linalg.eigh(products)
         total = float(variance.sum())
         if total < least:
             return None
         kept = variance > MIN_VARIANCE * total
-        return cls(rows, effects @ (right[:, kept] / np.sqrt(variance[kept])), variance[kept])
+        return cls(rows, effects @ (right[:, kept] / np.sqrt(variance[kept])), variance[kept], lost)
 
 
 @dataclass(frozen=True, eq=False)
@@ -419,11 +459,12 @@ class _Builder:
             signed = np.zeros_like(effects.whitened)
             signed[subset] = own
             own, subset = self.linearized.project_own(signed), slice(None)
-        products = own.T @ own
+        products, lost = own.T @ own, 0.0
         if self.shared_basis.shape[1]:
             shared = self.shared_basis[subset].T @ own
             products -= shared.T @ shared
-        return _Subspace.of(subset, own, products, max(EFFECT_TOL**2, MIN_SHARE * before))
+            lost = float(np.sum(shared**2))
+        return _Subspace.of(subset, own, products, max(EFFECT_TOL**2, MIN_SHARE * before), lost)
 
     def make(
         self, name: str, version: SmoothTerm, parts: Sequence[_Subspace | None], sign: Array | None = None
@@ -432,7 +473,7 @@ class _Builder:
         known = [part for part in parts if part is not None]
         if not known:
             return None
-        if self.shared_basis.shape[1] and 1 < len(version.sessions) <= MAX_COUPLED_SESSIONS:
+        if self.is_coupled(version, known):
             return self.couple(f"unknown:{name}", version, known, sign)
         variance = np.concatenate([part.variance for part in known])
         blocks = tuple((part.rows, part.directions) for part in known)
@@ -441,6 +482,13 @@ class _Builder:
         return Hypothesis(
             f"unknown:{name}", version, None, n, blocks, share, length, sign=sign, shared=shared
         )
+
+    def is_coupled(self, version: SmoothTerm, parts: Sequence[_Subspace]) -> bool:
+        """Whether all parts together have to be without what they share with other effects."""
+        if not self.shared_basis.shape[1] or len(parts) < 2 or len(version.sessions) > MAX_COUPLED_SESSIONS:
+            return False
+        lost, left = (sum(getattr(part, name) for part in parts) for name in ("lost", "total"))
+        return len(version.sessions) > 1 or lost > MAX_LOST * (lost + left)
 
     def couple(
         self, name: str, version: SmoothTerm, parts: Sequence[_Subspace], sign: Array | None

@@ -25,10 +25,12 @@ from scipy.special import poch
 
 from stickslip_fit._rows import rank_within, unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.causes.proposed import POSITION
+from stickslip_fit.causes.proposed import POSITION, ZETA
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.smooth_alternatives import find_carriers, traverse_average
-from stickslip_fit.logs.history import RECENT_USE
+from stickslip_fit.logs.history import LATE_TEMPERATURE, RECENT_USE
+
+NO_REASON = {ZETA, "other_load", "other_pause", "tilt_age", *RECENT_USE, *LATE_TEMPERATURE}  # for noise
 
 CONTAMINATION, CONTAMINATION_SCALE = 0.01, 5.0  # Cauchy component of all likelihoods: gross errors
 TAIL_DF = (5.0, 200.0)  # of Student t noise
@@ -250,7 +252,7 @@ def group_rows(
         ends = np.sort(rows[["start", "stop"]].to_numpy(float), axis=1).round(6)
         labels["range"] = unique_rows(np.column_stack([joint, ends]))[1]
         for carrier in find_carriers(linearized):
-            if carrier.name in RECENT_USE:  # no reason for noise
+            if carrier.name in NO_REASON:
                 continue
             labels[carrier.name] = _bin(traverse_average(carrier.values), joint)
         labels[POSITION] = _bin(_estimate_local_sds(ends, joint, residuals), joint)

@@ -12,14 +12,21 @@ from stickslip_fit._typing import Array, Int64Array
 from stickslip_fit.logs._table import label_codes, run_in_threads
 from stickslip_fit.machine import Machine, load_machine, mean_load
 
-# What was driven not long ago: of any joint and of the same joint, and s in which it is forgotten.
+# What was driven not long ago: of any joint, of the same joint and of the others, and s in which it is
+# forgotten.
 USE = {f"use_{minutes}min": 60.0 * minutes for minutes in (5, 20, 80)}
 JOINT_USE = {f"joint_{name}": seconds for name, seconds in USE.items()}
-RECENT_USE = USE | JOINT_USE
+OTHER_USE = {f"other_{name}": seconds for name, seconds in USE.items()}
+RECENT_USE = USE | JOINT_USE | OTHER_USE
+# The room's temperature as a body has it that follows so many s late.
+LATE_TEMPERATURE = {f"temperature_{minutes}min": 60.0 * minutes for minutes in (10, 20, 40, 80)}
+# Times since something, s.
+PAUSES = ("pause", "joint_pause", "other_pause", "tilt_age")
 # History on which no published cause depends.
 FURTHER_HISTORY = (
-    *("before_length", "before_gap", "before_joint", "pause", "joint_pause", "session_order"),
+    *("before_length", "before_gap", "before_joint", "other_load", *PAUSES, "session_order"),
     *RECENT_USE,
+    *LATE_TEMPERATURE,
 )
 NEGLIGIBLE_USE = 1e-9  # share of what was driven
 # What the step size of the traverse before had beyond its law, and the time since that traverse.
@@ -58,16 +65,19 @@ def add_session_history(
     session), ``before_load`` (its published load, averaged over its positions; 0 for the first, NaN on a
     machine without the published geometry), ``before_length`` and ``before_gap`` (how long it was, and how
     far from its stop this one starts, as shares of the joint's travel), ``joint_pause`` (s from its start).
-    Of the traverse before of any joint: ``before_joint`` and ``pause`` (s from its start). All but the first
-    two are NaN for a first traverse. Of the session: ``session_seconds`` and ``session_order``, time and
-    traverses since its first one, and the columns of `USE` and `JOINT_USE`: the lengths of its traverses so
-    far, as shares of their joints' travel, each times exp(-age / s), see `recent_use`.
+    Of the traverse before of any joint: ``before_joint`` and ``pause`` (s from its start); of any other one:
+    ``other_pause`` and ``other_load`` (s from its start, and its published load). All but the first two are
+    NaN for a first traverse. Of the session: ``session_seconds`` and ``session_order``, time and traverses
+    since its first one; ``tilt_age``, time since the first one with this theta and psi without another tilt
+    between; the columns of `RECENT_USE`: the lengths of its traverses so far, as shares of their joints'
+    travel, each times exp(-age / s), see `recent_use`; and those of `LATE_TEMPERATURE`, see `follow_late`.
     """
     joint = rows["joint"].to_numpy()
     time = rows["time"].to_numpy(dtype="datetime64[ns]").view(np.int64)
     backwards = (rows["direction"] == "-").to_numpy()
     has_load = machine is None or machine.has_published_geometry
     direction, load = np.full(len(rows), -1), np.full(len(rows), 0.0 if has_load else np.nan)
+    loads = np.full(len(rows), np.nan)
 
     def fill_joint(number: int) -> None:
         subset = np.flatnonzero(joint == number)
@@ -77,8 +87,8 @@ def add_session_history(
         if not has_load:
             return
         names = ("start", "stop", "q1", "q2", "theta", "psi")
-        loads = mean_load(number, *(rows[name].to_numpy()[subset] for name in names))
-        load[subset] = np.where(has_previous, loads[before], 0.0)
+        loads[subset] = mean_load(number, *(rows[name].to_numpy()[subset] for name in names))
+        load[subset] = np.where(has_previous, loads[subset][before], 0.0)
 
     # No two joints share a row, so that threads never write the same one.
     run_in_threads({f"q{number}": partial(fill_joint, int(number)) for number in np.unique(joint)}, len(rows))
@@ -97,6 +107,12 @@ def add_session_history(
         "all joints": partial(recent_use, length, seconds, session, USE),
         "each joint": partial(recent_use, length, seconds, of_joint, JOINT_USE),
     }
+    use = {name: values for one in run_in_threads(uses, len(rows)).values() for name, values in one.items()}
+    others = {f"other_{name}": np.maximum(use[name] - use[f"joint_{name}"], 0.0) for name in USE}
+    other = last[first_of_run(session, joint)]
+    since = seconds - seconds[first_of_run(session, _number_tilts(rows))]
+    room = rows["temperature"].to_numpy(float) if "temperature" in rows else np.full(len(rows), np.nan)
+    late = {name: follow_late(room, seconds, session, s) for name, s in LATE_TEMPERATURE.items()}
     return rows.assign(
         before_direction=label_codes(direction, ("+", "-")).set_axis(rows.index),
         before_load=load,
@@ -107,8 +123,35 @@ def add_session_history(
         joint_pause=np.where(own >= 0, seconds - seconds[own], np.nan),
         session_seconds=seconds,
         session_order=number.astype(float),
-        **{name: use for one in run_in_threads(uses, len(rows)).values() for name, use in one.items()},
+        other_load=np.where(other >= 0, loads[other], np.nan),
+        other_pause=np.where(other >= 0, seconds - seconds[other], np.nan),
+        tilt_age=since if has_load else np.nan,
+        **use,
+        **others,
+        **late,
     )
+
+
+def _number_tilts(rows: pd.DataFrame) -> Int64Array:
+    """The same number for the same theta and psi, shape (n,); 0 where there are none."""
+    tilts = [pd.factorize(rows[name])[0].astype(np.int64) for name in ("theta", "psi") if name in rows]
+    return sum((len(rows) ** k * codes for k, codes in enumerate(tilts)), np.zeros(len(rows), np.int64))
+
+
+def first_of_run(group: Int64Array, value: Int64Array) -> Int64Array:
+    """Index of the first of the rows in the same group since when the value is what it is.
+
+    Examples
+    --------
+    >>> first_of_run(np.array([0, 0, 1, 0, 0]), np.array([3, 3, 3, 2, 3]))
+    array([0, 0, 2, 3, 4])
+    """
+    order = np.argsort(group, kind="stable")
+    changed = (np.diff(group[order]) != 0) | (np.diff(value[order]) != 0)
+    place = np.where(np.append(True, changed)[: len(order)], np.arange(len(order)), 0)
+    first = np.empty_like(order)
+    first[order] = order[np.maximum.accumulate(place)]
+    return first
 
 
 def recent_use(
@@ -149,6 +192,33 @@ def recent_use(
             back *= 2
         found[name] = np.empty(len(order))
         found[name][order] = used
+    return found
+
+
+def follow_late(values: Array, seconds: Array, group: Int64Array, scale: float) -> Array:
+    """Values behind a low-pass filter of the first order, at rest as each group begins, shape (n,).
+
+    As the temperature of a body of one time constant, `scale` in s, follows that of the room. Values are
+    linear between rows, which are in the order of time; a missing one is the one before.
+
+    Examples
+    --------
+    >>> follow_late(np.array([0.0, 1.0, 1.0]), np.array([0.0, 60.0, 120.0]), np.zeros(3, int), 60.0).round(3)
+    array([0.   , 0.368, 0.767])
+    """
+    order = np.argsort(group, kind="stable")
+    known = pd.Series(values[order]).groupby(group[order]).ffill().to_numpy()
+    same = np.append(False, np.diff(group[order]) == 0)[: len(order)]
+    passed = np.maximum(np.diff(seconds[order], prepend=0.0), np.finfo(float).tiny) / scale
+    kept = np.where(same, np.exp(-passed), 0.0)
+    lacking = np.where(same, np.diff(known, prepend=0.0) * -np.expm1(-passed) / passed, 0.0)
+    back = 1  # `lacking` is of so many rows, and `kept` what is left of the row before these
+    while np.any(kept > 0) and back < len(order):
+        lacking[back:] += kept[back:] * lacking[:-back].copy()
+        kept[back:] *= kept[:-back].copy()
+        back *= 2
+    found = np.empty(len(order))
+    found[order] = known - lacking
     return found
 
 

@@ -26,7 +26,7 @@ from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import ResidualComparison, find_carrier
 from stickslip_fit.estimation.profile import follows_position
-from stickslip_fit.logs.history import JOINT_USE, USE
+from stickslip_fit.logs.history import JOINT_USE, LATE_TEMPERATURE, OTHER_USE, USE
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times, position_columns
 from stickslip_fit.machine import Machine, mean_load
 from stickslip_fit.plotting._style import (
@@ -188,6 +188,8 @@ def _compute_covariates(rows: pd.DataFrame, machine: Machine) -> Iterator[tuple[
         yield condition.axis, from_si(rows[name].to_numpy(float), condition.unit)
     if machine.has_published_geometry:
         yield "load along the axis", _compute_load(rows)
+        zeta = rows["psi"].to_numpy(float) - np.where(joint == 2, middle, rows["q2"].to_numpy(float))
+        yield "zeta = psi − q2 (°)", from_si(zeta, "deg")
     # The published laws depend most on joints 2 and 3.
     first = [name for name in ("q2", "q3") if machine.has_published_geometry]
     for name in dict.fromkeys([*first, *position_columns(rows)]):
@@ -234,16 +236,26 @@ TRAVERSE_LABEL = "traverse"
 BEFORE_LABEL = "the traverse before (%)"
 PROPOSAL_LABEL = "what is proposed, as fitted"
 EFFECT_LABEL = "effect of the proposal (%)"
-CARRIER_LABELS = {"load": "load along the axis"}
+CARRIER_LABELS = {"load": "load along the axis", "zeta": "zeta = psi"}
 # Of history that no cause follows: its axis, and the unit of that where it is not SI.
 FURTHER_LABELS = {
     "before_length": ("length of the joint's traverse before (share of its travel)", ""),
     "before_gap": ("distance from the joint's last stop (share of its travel)", ""),
     "before_joint": ("joint that moved before", ""),
+    "other_load": ("load of another joint's last traverse", ""),
     "pause": ("since the traverse before (min)", "min"),
     "joint_pause": ("since the joint's traverse before (min)", "min"),
+    "other_pause": ("since another joint moved (min)", "min"),
+    "tilt_age": ("since the arm was tilted (min)", "min"),
+    **{
+        name: (f"temperature {seconds / 60.0:.0f} min late (°C)", "°C")
+        for name, seconds in LATE_TEMPERATURE.items()
+    },
     **{name: (f"full travels in {seconds / 60.0:.0f} min", "") for name, seconds in USE.items()},
     **{name: (f"own full travels in {seconds / 60.0:.0f} min", "") for name, seconds in JOINT_USE.items()},
+    **{
+        name: (f"others' full travels in {seconds / 60.0:.0f} min", "") for name, seconds in OTHER_USE.items()
+    },
 }
 
 

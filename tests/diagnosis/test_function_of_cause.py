@@ -1,5 +1,7 @@
 """A cause whose equation is far from the data is in the law as a smooth function of its column."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -60,6 +62,10 @@ def test_a_resonance_is_in_the_law_and_predicts_a_replicate(read, tmp_path):
     found = ssf.diagnose(log)
     (finding,) = found.findings
     assert (finding.cause, finding.equivalent) == ("step-rate", ())
+    words = " ".join(str(found).split())
+    # Of the periods that were driven 10 ms is the nearest to the resonance, 4, 5 and 20 ms the farthest.
+    assert re.search(r"Steps are smallest at the step period (4\.00|5\.00|20\.0) ms \(−", words)
+    assert "and largest at the step period 10.0 ms (+" in words
     found.extended_law().save(tmp_path / "law.json")
     law = ssf.load_result(tmp_path / "law.json")
     error = np.log(fresh.rows["steps"] / law.predict(fresh.rows)["steps"])

@@ -1,4 +1,4 @@
-"""Effects of the traverse's own length, of two columns together and of recent use, put into logs by hand."""
+"""Effects of the traverse's own length, of two columns together and of what came before, put in by hand."""
 
 from dataclasses import replace
 from functools import cache
@@ -24,6 +24,44 @@ def two_columns(table):
     volts, warmth = rng.choice([-1.0, 1.0], (2, len(table)))
     table["supply_V"], table["temperature_C"] = 60.0 + 2.0 * volts, 22.0 + 1.5 * warmth
     return 0.01 * volts * warmth
+
+
+def two_slow_columns(table):
+    """The product of two columns that wander has memory itself."""
+    order = np.argsort(np.argsort(pd.to_datetime(table["time"]), kind="stable"), kind="stable")
+    walks = np.cumsum(np.random.default_rng(5).standard_normal((2, len(table))), axis=1)
+    volts, warmth = ((walks - walks.mean(1, keepdims=True)) / walks.std(1, keepdims=True))[:, order]
+    table["supply_V"], table["temperature_C"] = 60.0 + 2.0 * volts, 22.0 + 1.5 * warmth
+    return 0.02 * volts * warmth
+
+
+def faster_and_faster(table):
+    """A wave whose period becomes shorter; its neighbours resemble each other as in noise with memory."""
+    hours = (pd.to_datetime(table["time"]) - pd.to_datetime(table["time"]).min()).dt.total_seconds() / 3600.0
+    return 0.006 * np.sin(10.0 * np.pi * (hours / hours.max()).to_numpy() ** 2)
+
+
+def two_pumps(table):
+    """Two waves that have nothing to do with each other."""
+    minutes = (pd.to_datetime(table["time"]) - pd.to_datetime(table["time"]).min()).dt.total_seconds() / 60.0
+    return 0.005 * (np.sin(2.0 * np.pi * minutes / 10.7) + np.sin(2.0 * np.pi * minutes / 8.6)).to_numpy()
+
+
+def since(table, group):
+    """Minutes since the first traverse of a session since when its group is what it is; NaN for no other."""
+    table["time"] = pd.to_datetime(table["time"])
+    minutes, began = np.zeros(len(table)), {}
+    for row in table["time"].argsort(kind="stable"):
+        key, at = table["session"].iloc[row], table["time"].iloc[row]
+        own, first = began.get(key, (None, at))
+        began[key] = (group[row], first if own == group[row] else at)
+        minutes[row] = (at - began[key][1]).total_seconds() / 60.0
+    table["time"] = table["time"].dt.strftime("%Y-%m-%dT%H:%M:%S")
+    return minutes
+
+
+def creep_after_a_tilt(table):
+    return 0.02 * np.exp(-since(table, list(zip(table["theta_deg"], table["psi_deg"], strict=True))) / 15.0)
 
 
 def warmth(table, minutes=15.0):
@@ -60,6 +98,11 @@ def diagnose_with(effect, design, joints):
     [
         pytest.param(own_length, "many", (3,), {"own_length"}, marks=pytest.mark.nightly),
         (two_columns, "session", (2, 3), {"supply", "temperature"}),
+        pytest.param(
+            two_slow_columns, "session", (2, 3), {"supply", "temperature"}, marks=pytest.mark.nightly
+        ),
+        (creep_after_a_tilt, "session", (2, 3), {"tilt_age"}),
+        (faster_and_faster, "session", (2, 3), {"session_seconds"}),
         pytest.param(warmth, "session", (2, 3), {"joint_use_20min"}, marks=pytest.mark.nightly),
         pytest.param(warmth, "many", (1, 2, 3), {"joint_use_20min"}, marks=pytest.mark.nightly),
     ],
@@ -68,6 +111,11 @@ def test_what_steps_follow_is_found(effect, design, joints, carriers):
     found = diagnose_with(effect, design, joints)
     assert [one.cause for one in found.findings] == ["unknown"]
     assert {*found.findings[0].version.carriers} == carriers, found.summary().headline
+
+
+def test_two_waves_are_found_in_one_session():
+    found = diagnose_with(two_pumps, "session", (1, 2, 3))
+    assert {one.carrier for one in found.findings} == {"period of 10.7 min", "period of 8.6 min"}
 
 
 def test_recent_use_is_told_as_warmth():

@@ -96,7 +96,7 @@ def test_without_a_formula_it_is_a_smooth_function_and_its_coefficients_are_not_
 
 
 def test_a_product_is_named_with_both_of_its_columns_in_words():
-    version = SmoothTerm(("load", "session_seconds"), sessions=("a",))
+    version = SmoothTerm(("load", "session_seconds"), sessions=("a", "b"))
     assert name_carriers(Finding("unknown", version, (), 0.001, (3,), SIZE, ())) == (
         "the load and the time in the session together, differently in each session,"
     )

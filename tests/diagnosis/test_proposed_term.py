@@ -357,3 +357,15 @@ def test_what_pairs_of_places_explain_is_that_of_least_squares(hidden_logs):
             fitted = effects @ values
             assert explained[place, best] == pytest.approx(fitted @ fitted, rel=1e-6)
             np.testing.assert_allclose(dictionary.coefficients(place, best, residual), values, rtol=1e-5)
+
+
+def test_no_alternative_explains_more_than_there_is_where_much_is_absorbed():
+    """Part by part, what joints and directions lose to what is absorbed would count several times."""
+    plain = problem_from_log(read_hidden(hide("session", seed=4)))[0].linearize()
+    rng = np.random.default_rng(1)
+    absorbed = plain.absorb(rng.standard_normal((len(plain), 40)))
+    noise = absorbed.project(rng.standard_normal((len(plain), 20)))
+    squares = np.sum(noise**2, axis=0)
+    for one in build_smooth_alternatives(absorbed):
+        explained = [np.sum(one.coefficients(own) ** 2) for own in noise.T]
+        assert np.all(explained < 1.05 * squares), one.cause

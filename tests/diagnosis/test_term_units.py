@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import stickslip_fit as ssf
-from stickslip_fit.causes.proposed import LOAD, POSITION, ProposedTerm
+from stickslip_fit.causes.proposed import LOAD, POSITION, ZETA, ProposedTerm
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis._json import diagnosis_to_json
 from stickslip_fit.diagnosis._summary import write_headline
@@ -59,6 +59,11 @@ def shown_values(row, machine):
     for minutes in (5, 20, 80):
         values[f"travels in {minutes} min"] = row[f"use_{minutes}min"]
         values[f"own travels in {minutes} min"] = row[f"joint_use_{minutes}min"]
+        values[f"other travels in {minutes} min"] = row[f"other_use_{minutes}min"]
+    for minutes in (10, 20, 40, 80):
+        values[f"temperature {minutes}min"] = row[f"temperature_{minutes}min"] - 273.15
+    if "q2" in values:
+        values["zeta"] = values["psi"] - values["q2"]
     return values | {"before direction": {"+": 1.0, "-": -1.0}.get(row["before_direction"], 0.0)}
 
 
@@ -94,6 +99,8 @@ def test_every_formula_is_what_it_says(source, tmp_path):
         (parameter,) = term.parameters
         effects = -compute_changes(linearized, term, np.array([[to_si(1.0, parameter.unit)]]))[:, 0]
         acts = np.flatnonzero(effects)
+        if ZETA in term.carriers:  # along a traverse of joint 2 it is one of the position
+            acts = acts[linearized.rows["joint"].to_numpy()[acts] != 2]
         for place in acts[:: max(len(acts) - 1, 1)]:
             row = linearized.rows.iloc[place]
             shown = evaluate(term.formula, {"k": 1.0, **shown_values(row, log.machine)})

@@ -14,9 +14,10 @@ from stickslip_fit.logs.history import previous_rows
 
 SHARED = Path(__file__).parents[3] / "shared"
 HISTORY = ["before_direction", "before_load", "steps_before", "session_seconds"]
-OTHER_HISTORY = ["before_length", "before_gap", "joint_pause", "before_joint", "pause", "session_order"]
+OTHER_HISTORY = ["before_length", "before_gap", "joint_pause", "before_joint", "pause", "other_load"]
+OTHER_HISTORY += ["other_pause", "tilt_age", "session_order"]
 MINUTES = [5, 20, 80]
-USE = [f"{whose}use_{minutes}min" for whose in ("", "joint_") for minutes in MINUTES]
+USE = [f"{whose}use_{minutes}min" for whose in ("", "joint_", "other_") for minutes in MINUTES]
 TRAVEL = {1: math.radians(240), 2: math.radians(240), 3: 0.012}
 
 
@@ -30,6 +31,12 @@ def load(row: dict[str, float], position: float) -> float:
     return math.cos(theta) * math.sin(psi) * math.sin(position) + math.sin(theta) * math.cos(position)
 
 
+def own_load(row: dict[str, float]) -> float:
+    """The mean along a traverse."""
+    total, _ = quad(lambda q: load(row, q), row["start"], row["stop"])
+    return total / (row["stop"] - row["start"])
+
+
 def slow_history(rows: list[dict]) -> list[tuple[str, float, int, float]]:
     """What a person with a pencil would write beside each row; the rows may stand in any order."""
     found = []
@@ -40,8 +47,7 @@ def slow_history(rows: list[dict]) -> list[tuple[str, float, int, float]]:
         if same:
             last = max(same, key=lambda other: other["time"])
             direction = last["direction"]
-            total, _ = quad(lambda q, last=last: load(last, q), last["start"], last["stop"])
-            before_load = total / (last["stop"] - last["start"])
+            before_load = own_load(last)
         began = min(other["time"] for other in rows if other["session"] == row["session"])
         steps = sum(other["steps"] for other in earlier)
         found.append((direction, before_load, steps, (row["time"] - began).total_seconds()))
@@ -63,16 +69,27 @@ def slow_other_history(rows: list[dict]) -> list[tuple[float, ...]]:
             values[2] = (row["time"] - own["time"]).total_seconds()
         if last is not None:
             values[3:] = last["joint"], (row["time"] - last["time"]).total_seconds()
+        others = [one for one in earlier if one["joint"] != row["joint"]]
+        other = max(others, key=lambda one: one["time"], default=None)
+        values.append(math.nan if other is None else own_load(other))
+        values.append(math.nan if other is None else (row["time"] - other["time"]).total_seconds())
+        tilted = row["time"]
+        for one in sorted(earlier, key=lambda one: one["time"], reverse=True):
+            if (one["theta"], one["psi"]) != (row["theta"], row["psi"]):
+                break
+            tilted = one["time"]
+        values.append((row["time"] - tilted).total_seconds())
         found.append((*values, len(earlier)))
     return found
 
 
 def slow_use(rows: list[dict]) -> list[list[float]]:
-    """Full travels before each row in its session, of all joints and of its own, older ones counting less."""
+    """Full travels before each row in its session, of all joints, its own and the others; older ones less."""
     found = []
     for row in rows:
         before = [one for one in rows if one["time"] < row["time"] and one["session"] == row["session"]]
         own = [one for one in before if one["joint"] == row["joint"]]
+        others = [one for one in before if one["joint"] != row["joint"]]
         found.append(
             [
                 sum(
@@ -80,7 +97,7 @@ def slow_use(rows: list[dict]) -> list[list[float]]:
                     * 2.718281828459045 ** -((row["time"] - one["time"]).total_seconds() / 60 / minutes)
                     for one in some
                 )
-                for some in (before, own)
+                for some in (before, own, others)
                 for minutes in MINUTES
             ]
         )  # fmt: skip
