@@ -166,9 +166,9 @@ def describe_proposal(finding: Finding) -> str:
     steps, worth = _name_steps(finding), _describe_worth(finding)
     if not finding.term and hasattr(finding.version, "period"):
         period = describe_carrier(finding.carrier).replace("comes and goes", "come and go")
-        return (
-            f"{steps} {period}, which no known cause does; a wave{_name_each(finding)} is proposed; {worth}"
-        )
+        changes = ", whose size and phase change," * bool(getattr(finding.version, "n_slow", 0))
+        each = _name_each(finding)
+        return f"{steps} {period}, which no known cause does; a wave{each}{changes} is proposed; {worth}"
     if not finding.term:
         what = "both" if len(getattr(finding.version, "carriers", ())) > 1 else "it"
         return (

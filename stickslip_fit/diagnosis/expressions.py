@@ -214,9 +214,8 @@ def _functions(carrier: Carrier, machine: JointKinds) -> Iterator[CarrierFunctio
     """
     name, plain = carrier.name, ("x", "x^2", "|x|")
     if name in (POSITION, ZETA) or is_coordinate(name):
-        shown = (
-            {POSITION: "", ZETA: "deg"}[name] if name in (POSITION, ZETA) else coordinate_unit(name, machine)
-        )
+        units = {POSITION: "", ZETA: "deg"}
+        shown = units[name] if name in units else coordinate_unit(name, machine)
         for expression in (*plain, *(() if shown == "mm" else OF_ANGLES)):
             yield CarrierFunction(expression, name, shown=shown)
     elif name in (LOAD, BEFORE_DIRECTION, "before_load"):
