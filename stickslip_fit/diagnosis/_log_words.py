@@ -89,7 +89,9 @@ class LogWords(Words):
 
     def tell_no_finding(self) -> list[str]:
         diagnosis = self.diagnosis
-        absorbed = ", of which the fit takes up a part" * (diagnosis.misfit < diagnosis.repeatability)
+        is_less = diagnosis.misfit < diagnosis.repeatability
+        is_less &= format_percent(diagnosis.misfit) != format_percent(diagnosis.repeatability)
+        absorbed = ", of which the fit takes up a part" * is_less
         text = (
             f"Nothing is wrong that this log can show: the {baseline_name(diagnosis)} leaves "
             f"{format_percent(diagnosis.misfit)} rms, and {describe_scatter(diagnosis)}{absorbed} "
