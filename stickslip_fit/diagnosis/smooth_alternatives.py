@@ -43,7 +43,6 @@ from stickslip_fit.logs.history import FURTHER_HISTORY, LATE_TEMPERATURE
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, position_columns
 
 LENGTHS = (0.25, 0.1)  # correlation lengths, of the carrier's range
-SHORT = 0.04  # of the time in a session, in which other things may come and go faster
 BEYOND = 0.15  # of a range of positions, by which that of its functions is wider on either side
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)  # of a carrier along a traverse
 HISTORY = ("session_seconds", "steps_before", "before_load", BEFORE_DIRECTION)
@@ -244,9 +243,7 @@ def _of_each_joint(
 
 def _lengths(carrier: Carrier) -> tuple[float, ...]:
     """Correlation lengths of functions of a carrier; the longest where it has few values."""
-    if carrier.distinct - 1 <= len(prior_sds(LENGTHS[0])):
-        return LENGTHS[:1]
-    return (*LENGTHS, SHORT) if carrier.name == "session_seconds" else LENGTHS
+    return LENGTHS if carrier.distinct - 1 > len(prior_sds(LENGTHS[0])) else LENGTHS[:1]
 
 
 def _smooth_functions(carrier: Carrier, length: float) -> tuple[SmoothTerm, Array]:

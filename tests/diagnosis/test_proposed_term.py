@@ -363,7 +363,7 @@ def test_no_alternative_explains_more_than_there_is_where_much_is_absorbed():
     """Part by part, what joints and directions lose to what is absorbed would count several times."""
     plain = problem_from_log(read_hidden(hide("session", seed=4)))[0].linearize()
     rng = np.random.default_rng(1)
-    absorbed = plain.absorb(rng.standard_normal((len(plain), 40)))
+    absorbed = plain.absorb(rng.standard_normal((len(plain), 120)))
     noise = absorbed.project(rng.standard_normal((len(plain), 20)))
     squares = np.sum(noise**2, axis=0)
     for one in build_smooth_alternatives(absorbed):
