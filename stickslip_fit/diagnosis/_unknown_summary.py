@@ -36,6 +36,7 @@ from stickslip_fit.logs.history import (
     PAUSES,
     RECENT_USE,
     USE,
+    condition_of,
 )
 from stickslip_fit.logs.log import has_replicates
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, is_coordinate
@@ -187,9 +188,13 @@ def describe_proposal(finding: Finding) -> str:
     return f"{steps} follow {name_carriers(finding)} in a way that no known cause describes; {what}; {worth}"
 
 
+def _differs_by_session(finding: Finding) -> bool:
+    return len(getattr(finding.version, "sessions", ())) > 1
+
+
 def _name_each(finding: Finding) -> str:
     """Of what each has a function of its own."""
-    if len(getattr(finding.version, "sessions", ())) > 1:
+    if _differs_by_session(finding):
         return " for each session"
     return " for each joint and direction" if getattr(finding.version, "each", False) else ""
 
@@ -202,9 +207,7 @@ def name_carriers(finding: Finding) -> str:
     opposite = getattr(finding.version, "mode", "same") == "opposite"
     ways = f"{OPPOSITE}," if opposite else ""
     partly = "in part " if getattr(finding.version, "common", 0.0) else ""
-    in_sessions = (
-        f", {partly}differently in each session," if len(getattr(finding.version, "sessions", ())) > 1 else ""
-    )
+    in_sessions = f", {partly}differently in each session," * _differs_by_session(finding)
     return f"{words}{together}{ways}{in_sessions}".replace(",,", ",")
 
 
@@ -326,8 +329,8 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
         return (
             f"What the sessions have in common {does} another session, too; the rest predicts its own only."
         )
-    if sessions := getattr(finding.version, "sessions", ()):
-        own = "Each session has its own" if len(sessions) > 1 else "It is that of this session"
+    if getattr(finding.version, "sessions", ()):
+        own = "Each session has its own" if _differs_by_session(finding) else "It is that of this session"
         return f"{own}; the law has none for a session to come."
     most, least = find_extremes(finding, diagnosis)
     where = f"{_format_extreme(finding, diagnosis, *most)} and {_format_extreme(finding, diagnosis, *least)}"
@@ -409,8 +412,8 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
         value, unit = from_si(value, "h"), " h"
     elif name in PAUSES:
         return f"{format_significant(from_si(value, 'min'), 3)} min {SINCE[name]}"
-    elif name in CONDITIONS or name in LATE_TEMPERATURE:
-        shown = CONDITIONS["temperature" if name in LATE_TEMPERATURE else name].unit
+    elif condition_of(name) in CONDITIONS:
+        shown = CONDITIONS[condition_of(name)].unit
         value, unit = from_si(value, shown), f" {shown}"
     return f"{label} {format_significant(float(value), 3)}{unit}"
 

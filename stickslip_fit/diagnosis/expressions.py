@@ -29,7 +29,7 @@ from stickslip_fit.causes.proposed import (
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.smooth_alternatives import MIN_SHARE, Carrier, find_carriers, traverse_average
-from stickslip_fit.logs.history import FURTHER_HISTORY, LATE_TEMPERATURE
+from stickslip_fit.logs.history import FURTHER_HISTORY, condition_of
 from stickslip_fit.logs.schema import CONDITIONS, is_coordinate
 from stickslip_fit.units import from_si, to_si
 
@@ -227,7 +227,7 @@ def _functions(carrier: Carrier, machine: JointKinds) -> Iterator[CarrierFunctio
             is_time = shown and expression != "log(1 + x)"
             yield CarrierFunction(expression, name, 0.0, 1.0 if is_time else unit, shown)
     else:
-        column = "temperature" if name in LATE_TEMPERATURE else name
+        column = condition_of(name)
         shown = CONDITIONS[column].unit if column in CONDITIONS else ""
         apart = "K" if shown == "°C" else shown
         unit = _round((carrier.high - carrier.low) / 2, apart)

@@ -61,6 +61,7 @@ MAX_DETECTION_LENGTH = 60.0  # whitened norm
 MIN_LOG_BAYES_FACTOR = 5.0  # nats for a structure to be subtracted before the bootstrap
 # Nats for a version of a cause that adds parameters to another: of its evidence, or of a criterion.
 MIN_ADDED_LOG_EVIDENCE, MIN_CRITERION_GAIN = 2.0, 1.0
+MIN_AHEAD = 1e-3  # nats, more than rounding
 MAX_ROW_SHARE = 0.4  # of an effect's prior variance in one row
 MIN_LEFT_SHARE = 0.5  # of a cause's shapes, that are in more rows
 MAX_ROW_LEVERAGE = 0.15  # of an effect in one row; above, its signs are too few for a bootstrap
@@ -115,9 +116,6 @@ def remove_structure(
     kept = signal / (1.0 + signal)
     left = residual - shape.combine(kept * along)
     return StructureRemoved(left, shape.leverage(kept), float(log_evidence[best]))
-
-
-MIN_AHEAD = 1e-3  # nats, more than rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,8 +174,8 @@ class Misfit:
 
     def with_likeliest(self, shape: Hypothesis) -> Misfit:
         """The test with an unstructured alternative that takes the place of the likeliest one."""
-        hypotheses = (*self.hypotheses, shape)
-        evidence = np.append(self.log_evidence, self.log_evidence.max() + MIN_AHEAD)
+        hypotheses, known = (*self.hypotheses, shape), self.log_evidence[self._places[UNKNOWN]]
+        evidence = np.append(self.log_evidence, known.max() + MIN_AHEAD)
         causes = [classify_cause(one) for one in hypotheses]
         unknown = average_by_cause(causes, weigh_hypotheses(hypotheses, causes), evidence)[UNKNOWN]
         by_cause = self.log_evidence_by_cause | {UNKNOWN: unknown}

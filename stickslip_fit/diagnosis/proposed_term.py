@@ -62,14 +62,16 @@ def propose_term(
         (misfit.log_evidence[places[0]], misfit.hypotheses[places[0]]) if places else (-np.inf, None)
         for places in (smooth, memory)
     )
+    if max(evidence, to_beat) < MIN_STAND_IN_LOG_BAYES_FACTOR:
+        return list(selected)
     least = max(MIN_STAND_IN_LOG_BAYES_FACTOR, to_beat - MEMORY_MARGIN)
     carriers: Sequence[str] = shape.version.carriers if isinstance(shape, Hypothesis) else ()
     term = _find_term(linearized, misfit, expressions(linearized), carriers, rng)
-    if evidence < least <= to_beat:
+    if evidence < least:
         closer = [(evidence, shape), *_look_closer(linearized, misfit, smooth, term)]
         evidence, shape = max(closer, key=lambda one: one[0])
     if evidence < least:
-        if not isinstance(ar1, AR1) or ar1.term is None or to_beat < least:
+        if not isinstance(ar1, AR1) or ar1.term is None:
             return list(selected)
         start = np.array([ar1.coefficient])
         return [*others, replace(unknown, version=ar1.term, start=start, tested=linearized)]
@@ -135,13 +137,15 @@ def _without_start(unknown: SelectedCause, version: Any, linearized: LinearizedF
 def rank_forms(misfit: Misfit, rows: pd.DataFrame) -> tuple[list[int], list[int]]:
     """Places of what may follow unknown structure, the likeliest first: smooth functions, autoregressions.
 
+    A short expression, which took the place of one of these, is looked for anew.
     Of equally likely ones that of fewest joints: what no traverse of a joint shows is not said of it.
     """
     shapes = misfit.hypotheses
     joints = _count_joints([shape.version for shape in shapes], rows)
     places = np.lexsort((np.array(joints), -np.round(misfit.log_evidence, EVIDENCE_DECIMALS))).tolist()
     memory = [k for k in places if isinstance(shapes[k], AR1)]
-    smooth = [k for k in places if shapes[k].version is not None and classify_cause(shapes[k]) == UNKNOWN]
+    unknown = [k for k in places if shapes[k].version is not None and classify_cause(shapes[k]) == UNKNOWN]
+    smooth = [k for k in unknown if not hasattr(shapes[k].version, "formula")]
     return smooth, memory
 
 

@@ -169,7 +169,7 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         *(
             (carrier.name, *_smooth_functions(carrier, length))
             for carrier in carriers
-            if carrier.name not in (LOAD, POSITION, LENGTH)
+            if carrier.name not in (POSITION, LENGTH)
             for length in _lengths(carrier)
         ),
         *(
@@ -187,12 +187,8 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
     hypotheses: list[Hypothesis] = []
     for name, term, functions in shapes:
         effects = builder.effects(functions)
-        hypotheses += builder.shapes(name, term, effects)
-        hypotheses += builder.by_session(name, term, effects) if name in ANGLES else []
-    for carrier in carriers:
-        if carrier.name == LOAD:
-            term, functions = _smooth_functions(carrier, max(LENGTHS))
-            hypotheses += builder.by_session(LOAD, term, builder.effects(functions))
+        hypotheses += builder.shapes(name, term, effects) if name != LOAD else []
+        hypotheses += builder.by_session(name, term, effects) if name in (*ANGLES, LOAD) else []
     for joint, carrier in _of_each_joint(linearized, carriers, LENGTH):
         # Of few lengths any function is as good as the few steps that a late stop adds to each count.
         if carrier.distinct >= MIN_LENGTHS:
@@ -297,11 +293,6 @@ class _Subspace:
     directions: Array
     variance: Array
     lost: float = 0.0
-
-    @property
-    def total(self) -> float:
-        """Square of all effects."""
-        return float(self.variance.sum())
 
     @classmethod
     def of(
@@ -484,7 +475,7 @@ class _Builder:
         """Whether all parts together have to be without what they share with other effects."""
         if not self.shared_basis.shape[1] or len(parts) < 2 or len(version.sessions) > MAX_COUPLED_SESSIONS:
             return False
-        lost, left = (sum(getattr(part, name) for part in parts) for name in ("lost", "total"))
+        lost, left = sum(part.lost for part in parts), sum(float(part.variance.sum()) for part in parts)
         return len(version.sessions) > 1 or lost > MAX_LOST * (lost + left)
 
     def couple(

@@ -35,6 +35,11 @@ MAX_PASSES, DEPARTURE_TOL = 30, 1e-9  # of laws that follow departures
 CLOSE_IN_TIME = 1e-3  # s
 
 
+def condition_of(column: str) -> str:
+    """The logged condition that a column of history follows late; any other column itself."""
+    return "temperature" if column in LATE_TEMPERATURE else column
+
+
 def add_history(rows: pd.DataFrame) -> pd.DataFrame:
     """Add the history columns to the rows of a whole log.
 
@@ -184,15 +189,20 @@ def recent_use(
     age, found = np.where(group[1:] == group[:-1], np.diff(seconds), np.inf), {}
     for name, scale in fades.items():
         left = np.append(0.0, np.exp(-age / scale))[: len(order)]
-        used = left * np.roll(length, 1)
-        back = 1  # `used` is of so many rows before, and `left` of what a row as far back has
-        while np.any(left > NEGLIGIBLE_USE) and back < len(order):
-            used[back:] += left[back:] * used[:-back]
-            left[back:] *= left[:-back].copy()
-            back *= 2
         found[name] = np.empty(len(order))
-        found[name][order] = used
+        found[name][order] = _accumulate(left * np.roll(length, 1), left, NEGLIGIBLE_USE)
     return found
+
+
+def _accumulate(added: Array, kept: Array, negligible: float = 0.0) -> Array:
+    """The sums x of x[k] = added[k] + kept[k] x[k - 1], shape (n,), down to a negligible share."""
+    sums, left, back = added.copy(), kept.copy(), 1
+    # `sums` are of so many rows, and `left` is what remains of the row before these.
+    while np.any(left > negligible) and back < len(sums):
+        sums[back:] += left[back:] * sums[:-back]
+        left[back:] *= left[:-back].copy()
+        back *= 2
+    return sums
 
 
 def follow_late(values: Array, seconds: Array, group: Int64Array, scale: float) -> Array:
@@ -211,14 +221,9 @@ def follow_late(values: Array, seconds: Array, group: Int64Array, scale: float) 
     same = np.append(False, np.diff(group[order]) == 0)[: len(order)]
     passed = np.maximum(np.diff(seconds[order], prepend=0.0), np.finfo(float).tiny) / scale
     kept = np.where(same, np.exp(-passed), 0.0)
-    lacking = np.where(same, np.diff(known, prepend=0.0) * -np.expm1(-passed) / passed, 0.0)
-    back = 1  # `lacking` is of so many rows, and `kept` what is left of the row before these
-    while np.any(kept > 0) and back < len(order):
-        lacking[back:] += kept[back:] * lacking[:-back].copy()
-        kept[back:] *= kept[:-back].copy()
-        back *= 2
+    risen = np.where(same, np.diff(known, prepend=0.0) * -np.expm1(-passed) / passed, 0.0)
     found = np.empty(len(order))
-    found[order] = known - lacking
+    found[order] = known - _accumulate(risen, kept)
     return found
 
 

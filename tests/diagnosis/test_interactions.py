@@ -48,7 +48,7 @@ def two_pumps(table):
 
 
 def since(table, group):
-    """Minutes since the first traverse of a session since when its group is what it is; NaN for no other."""
+    """Minutes since the first traverse of a session since when its group is what it is."""
     table["time"] = pd.to_datetime(table["time"])
     minutes, began = np.zeros(len(table)), {}
     for row in table["time"].argsort(kind="stable"):

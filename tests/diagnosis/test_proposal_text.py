@@ -100,6 +100,8 @@ def test_a_product_is_named_with_both_of_its_columns_in_words():
     assert name_carriers(Finding("unknown", version, (), 0.001, (3,), SIZE, ())) == (
         "the load and the time in the session together, differently in each session,"
     )
+    only = SmoothTerm(("load",), sessions=("a",))
+    assert name_carriers(Finding("unknown", only, (), 0.001, (3,), SIZE, ())) == "the load"
     opposite = SmoothTerm(("covariate:lamp",), mode="opposite")
     assert name_carriers(Finding("unknown", opposite, (), 0.001, (3,), SIZE, ())) == (
         "lamp, with opposite signs in the two directions,"
