@@ -295,9 +295,12 @@ def draw_finding(
     rows = comparison.rows
     joints = [joint for joint in finding.joints if (rows["joint"] == joint).any()]
     subset = rows["joint"].isin(joints).to_numpy()
-    drifts = getattr(selected.version, "n_slow", 0)  # a wave without one phase for the whole session
-    folded = None if drifts else fold_phase(finding.carrier, rows, shape)
-    label, values = folded or _find_carrier_values(selected, shape, comparison, subset, machine)
+    if getattr(selected.version, "n_slow", 0):  # a wave without one phase for the whole session
+        label, values = EFFECT_LABEL, 100 * shape
+    else:
+        label, values = fold_phase(finding.carrier, rows, shape) or _find_carrier_values(
+            selected, shape, comparison, subset, machine
+        )
     panels = {
         joint_name(joint, machine): _by_direction(rows, (rows["joint"] == joint).to_numpy())
         for joint in joints

@@ -134,6 +134,8 @@ def test_a_wave_may_change_its_size_and_phase():
     log, fresh = (read_with(drifting_pump, "session", (1, 2, 3), 7, replicate) for replicate in (0, 1))
     found = diagnose(log, gain=False)
     assert "a wave, whose size and phase change, is proposed" in " ".join(str(found).split())
+    # Over a phase that wanders it would be smeared.
+    assert {axis.get_xlabel() for axis in found.plot().flat} <= {"effect of the proposal (%)", ""}
     error = np.log(fresh.rows["steps"] / found.extended_law().predict(fresh.rows)["steps"])
     assert np.sqrt(np.mean(error**2)) < 0.0039
 

@@ -8,7 +8,13 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit.causes import AlongTravel, Temperature, extend
-from stickslip_fit.causes.proposed import JointTerm, NestedTerm, ProposedTerm, SmoothTerm, TravelTerm
+from stickslip_fit.causes.proposed import (
+    JointTerm,
+    NestedTerm,
+    ProposedTerm,
+    SmoothTerm,
+    TravelTerm,
+)
 from stickslip_fit.causes.registry import describe, restore
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes, build_unstructured_alternatives
@@ -17,7 +23,7 @@ from stickslip_fit.diagnosis.evidence import STRENGTHS, batch_hypotheses, group_
 from stickslip_fit.diagnosis.expressions import build_log_dictionary
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Gain
-from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes, make_hypothesis
 from stickslip_fit.diagnosis.misfit import UNKNOWN, compute_misfit
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.proposed_term import propose_term
@@ -369,3 +375,16 @@ def test_no_alternative_explains_more_than_there_is_where_much_is_absorbed():
     for one in build_smooth_alternatives(absorbed):
         explained = [np.sum(one.coefficients(own) ** 2) for own in noise.T]
         assert np.all(explained < 1.05 * squares), one.cause
+
+
+def test_an_expression_is_looked_for_anew_where_the_test_has_it_already(linearized, alternatives):
+    """As in a fold, whose rows may show none: what is left then is a smooth function."""
+    term = ProposedTerm((("sin(x)", "theta", 0.0, 1.0, "deg"),))
+    effect = linearized.project(linearized.whiten(compute_changes(linearized, term, np.array([[0.01]]))))
+    change = 25.0 * effect[:, 0] / np.linalg.norm(effect)
+    misfit = compute_misfit(replace(linearized, residual=change), alternatives, 0, np.random.default_rng(2))
+    misfit = misfit.with_likeliest(make_hypothesis(f"{UNKNOWN}:theta", term, None, effect))
+    assert misfit.best_hypothesis(UNKNOWN).version is term
+    unknown = SelectedCause(UNKNOWN, None, np.zeros(0), form_cause_set(misfit, UNKNOWN), misfit, 0.0)
+    (proposed,) = propose_term(linearized, [unknown], lambda fit: None, np.random.default_rng(2))
+    assert isinstance(proposed.version, SmoothTerm)
