@@ -199,9 +199,9 @@ class DiagnosisProblem:
 
     def log_likelihood(self, fit: ExtendedFit) -> float:
         """Log likelihood of a fit of the extended laws, but for a constant."""
-        residual = self.linearize_extended(fit).residual
+        residual = self.linearize_extended(fit).whiten(fit.residual[:, None])
         noise = 0.0 if self.autocorrelation is None else self.autocorrelation.log_determinant
-        return noise - float(np.sum(np.log(self.scale))) - 0.5 * float(residual @ residual)
+        return noise - float(np.sum(np.log(self.scale))) - 0.5 * float(np.sum(residual**2))
 
     def with_autocorrelation(self, fit: ExtendedFit | None = None) -> DiagnosisProblem:
         """The problem with the noise's autocorrelation estimated anew, under a fit or the baseline.

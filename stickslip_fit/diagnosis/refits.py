@@ -73,12 +73,14 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
     extensions: dict[str, Extension] = {}
     failed: list[str] = []
     least = max(MIN_REFIT_SHARE * max(evidence.values(), default=0.0), MIN_REFIT_LOG_BAYES_FACTOR)
-    if not (likeliest := misfit.rank_causes(least)[: problem.n_refits]):
+    likeliest = misfit.rank_causes(least)[: problem.n_refits]
+    # A weak one, whose form hardly matters, is limited to what it can reach within its bounds.
+    if not (tried := likeliest or misfit.rank_causes(0.0)[:1]):
         return Refits(misfit, starts, extensions)
     before = problem.linearize_extended(fit_causes(problem, selected))
     of_moments: dict[str, float] = {}
     residuals: dict[str, Array] = {}
-    for cause in likeliest:
+    for cause in tried:
         trial = make_selected(misfit, form_cause_set(misfit, cause))
         one = refine_trial(trial, before)
         try:
@@ -88,7 +90,8 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
             failed.append(cause)
             continue
         residuals[cause] = after.residual
-        left, df = _share_left(misfit, before, after)
+        # Not `after.residual`: slopes would take what no value of a parameter within its bounds does.
+        left, df = _share_left(misfit, before, after.whiten(fit.residual[:, None])[:, 0])
         gain = _refit_gain(misfit, cause, left, df)
         shape = misfit.best_subspace(cause)
         has_more_forms = len(shape.prior_share) > len(one.start)
@@ -96,6 +99,8 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
         if left > 0 and not has_more_forms and not is_penalised:
             # No more than the best fit within the bounds; of a smooth cause this one is penalised.
             evidence[cause] = min(evidence[cause], max(-0.5 * df * float(np.log(left)), 0.0))
+        if cause not in likeliest:
+            continue
         evidence[cause] += gain
         if gain > 0 or one is not trial:
             starts[cause] = fit.values[len(fit.values) - len(one.start) :]
@@ -205,12 +210,12 @@ def refine_trial(one: SelectedCause, before: LinearizedFit) -> SelectedCause:
     return replace(one, start=trials[int(np.argmax(explained))])
 
 
-def _share_left(misfit: Misfit, before: LinearizedFit, after: LinearizedFit) -> tuple[float, int]:
-    """Squared residuals after a refit over those before it, and the degrees of freedom of the latter.
+def _share_left(misfit: Misfit, before: LinearizedFit, after: Array) -> tuple[float, int]:
+    """Squared residuals after a refit, (n,), over those before it, and the degrees of freedom of the latter.
 
     Of both without the other forms of causes in the law, if the test was without them.
     """
-    residuals, df = np.stack([before.residual, after.residual], axis=1), before.df
+    residuals, df = np.stack([before.residual, after], axis=1), before.df
     if misfit.basis is not None and misfit.basis.shape[1] > before.basis.shape[1]:
         residuals = residuals - misfit.basis @ (misfit.basis.T @ residuals)
         df = len(residuals) - misfit.basis.shape[1]
