@@ -30,6 +30,7 @@ ANGLES = ("q1", "q2", "q3", "theta", "psi")  # the joint's own excepted, which i
 POSITION, LOAD, BEFORE_DIRECTION = "position", "load", "before_direction"
 LENGTH = "own_length"  # of the traverse, rad or m
 ZETA = "zeta"  # psi - q2, by which the published laws of joints 2 and 3 have the load
+TRANSVERSE_LOAD = "transverse_load"  # what the load would be a quarter turn on, which presses across it
 FORMULA_NAMES = {
     "session_seconds": "session time",
     **{name: f"log(1 + {name.replace('_', ' ')} / s)" for name in PAUSES},
@@ -37,6 +38,12 @@ FORMULA_NAMES = {
     **{name: f"own travels in {seconds / 60.0:.0f} min" for name, seconds in JOINT_USE.items()},
     **{name: f"other travels in {seconds / 60.0:.0f} min" for name, seconds in OTHER_USE.items()},
 }  # of carriers in formulas, where they have not their own
+LOADS = (LOAD, TRANSVERSE_LOAD)
+ALONG = (POSITION, *LOADS)  # what may change along a traverse
+CLOCK_UNITS = {
+    "session_order": "traverses",
+    "joint_travel": "travels of the joint",
+}
 SMOOTH_SCALE = 0.01  # of a smooth function's coefficients
 Mode = Literal["same", "opposite"]
 
@@ -50,6 +57,8 @@ def carrier_values(state: State, carrier: str) -> Array:
         return state.position
     if carrier == LOAD:
         return state.load
+    if carrier == TRANSVERSE_LOAD:
+        return np.asarray(state.transverse_load + np.zeros((len(state.position), 1)))
     if carrier == LENGTH:
         return np.abs(state.column("stop") - state.column("start"))
     if carrier == f"q{state.joint}":
@@ -67,7 +76,7 @@ def carrier_values(state: State, carrier: str) -> Array:
 
 def carrier_columns(carrier: str) -> tuple[str, ...]:
     """The column of a log in which a carrier is; none of what follows from the traverse itself."""
-    return () if carrier in (*ANGLES, ZETA, POSITION, LOAD, LENGTH) else (carrier,)
+    return () if carrier in (*ANGLES, ZETA, POSITION, *LOADS, LENGTH) else (carrier,)
 
 
 @dataclass(frozen=True)
@@ -94,6 +103,8 @@ class SmoothTerm(LogLinearFactor):
         Sessions with a function of their own; empty for the same in all.
     common : float
         Share of the prior variance that is in a function which all sessions have in common.
+    travel : tuple of (int, float, float)
+        Joint and range of its positions, where joints have different ones.
     """
 
     carriers: tuple[str, ...] = (POSITION,)
@@ -105,6 +116,7 @@ class SmoothTerm(LogLinearFactor):
     each: bool = False
     sessions: tuple[str, ...] = ()
     common: float = 0.0
+    travel: tuple[tuple[int, float, float], ...] = ()
 
     name = "smooth-function"
     phrase = "steps follow something smoothly that no cause describes"
@@ -118,7 +130,7 @@ class SmoothTerm(LogLinearFactor):
 
     @property
     def varies_along_traverse(self) -> bool:  # type: ignore[override]
-        return any(carrier in (POSITION, LOAD) for carrier in self.carriers)
+        return any(carrier in ALONG for carrier in self.carriers)
 
     @cached_property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
@@ -214,7 +226,11 @@ class SmoothTerm(LogLinearFactor):
 
     def limits_of(self, joint: int) -> tuple[tuple[float, float], ...]:
         """Range of each carrier where this joint moves."""
-        return self.limits
+        own = {number: (low, high) for number, low, high in self.travel}
+        return tuple(
+            own.get(joint, limits) if carrier == POSITION else limits
+            for carrier, limits in zip(self.carriers, self.limits, strict=True)
+        )
 
     def waves(self, values: Sequence[Array], limits: Sequence[tuple[float, float]]) -> list[Array]:
         """Functions of each carrier, from its values, shape (n, k) -> (n, k, highest order)."""
@@ -243,7 +259,7 @@ class JointTerm(SmoothTerm):
         shared = {one.name: getattr(terms[0], one.name) for one in fields(terms[0])}
         shared["on"] = tuple(place for one in terms for place in one.on)
         shared["sessions"] = tuple(dict.fromkeys(name for one in terms for name in one.sessions))
-        return cls(**shared, **attributes)
+        return cls(**shared | attributes)
 
     @property
     def _groups(self) -> tuple[tuple[tuple[int, str], ...], ...]:
@@ -257,21 +273,10 @@ class JointTerm(SmoothTerm):
 
 @dataclass(frozen=True)
 class TravelTerm(JointTerm):
-    """gamma times exp of a smooth function of the position along each joint's own travel.
-
-    Attributes
-    ----------
-    travel : tuple of (int, float, float)
-        Joint and range of its positions, where joints have different ones.
-    """
-
-    travel: tuple[tuple[int, float, float], ...] = ()
+    """gamma times exp of a smooth function of the position along each joint's own travel."""
 
     name = "smooth-travel-function"
     phrase = "steps follow the position along each joint's travel smoothly as no cause describes"
-
-    def limits_of(self, joint: int) -> tuple[tuple[float, float], ...]:
-        return tuple((low, high) for number, low, high in self.travel if number == joint) or self.limits
 
 
 @dataclass(frozen=True)
@@ -334,12 +339,14 @@ class NestedTerm(TravelTerm):
 
 @dataclass(frozen=True)
 class PeriodicTerm(SmoothTerm):
-    """gamma times exp of a wave in time or in the number of traverses.
+    """gamma times exp of a wave in time, in the number of traverses or in the joint's own travel.
 
     Attributes
     ----------
+    carriers : tuple of str
+        The clock; and the load, where the wave is in proportion to it.
     period : float
-        In the unit of the carrier.
+        In the unit of the clock.
     n_slow : int
         Functions of each session's time by which the wave's size and phase may change in it; 0 for none.
     """
@@ -356,22 +363,23 @@ class PeriodicTerm(SmoothTerm):
 
     def __str__(self) -> str:
         """Its period in words."""
-        (clock,) = self.carriers
-        if clock == "session_seconds":
+        if self.carriers[0] == "session_seconds":
             text = f"period of {from_si(self.period, 'min'):.1f} min"
         else:
-            text = f"period of {self.period:.1f} traverses"
-        return text + ", opposite" * (self.mode == "opposite")
+            text = f"period of {self.period:.1f} {CLOCK_UNITS[self.carriers[0]]}"
+        text += ", by load" * (LOAD in self.carriers) + ", opposite" * (self.mode == "opposite")
+        return text + describe_where(self.on, "same")
 
     def waves(self, values: Sequence[Array], limits: Sequence[tuple[float, float]]) -> list[Array]:
         """See `SmoothTerm.waves`: cosine and sine of each harmonic, each by itself and times slow cosines."""
-        (clock,), ((low, high),) = values, limits
+        (clock, *loads), ((low, high), *_) = values, limits
         fast = harmonics(clock, self.period, len(self.orders) // 2 // (1 + self.n_slow))
         if not self.n_slow:
-            return [fast]
+            return [fast, *(load[..., None] for load in loads)]
         slow = cosines(clock, low, high, self.n_slow)
         slow = np.concatenate([np.ones((*clock.shape, 1)), slow], axis=-1)
-        return [(slow[..., :, None] * fast[..., None, :]).reshape(*clock.shape, -1)]
+        changing = (slow[..., :, None] * fast[..., None, :]).reshape(*clock.shape, -1)
+        return [changing, *(load[..., None] for load in loads)]
 
 
 def _only(group: Sequence[tuple[int, str]]) -> tuple[int | None, str | None]:
@@ -531,7 +539,7 @@ class ProposedTerm(LinearFactor):
 
     @property
     def varies_along_traverse(self) -> bool:  # type: ignore[override]
-        return any(carrier in (POSITION, LOAD) for carrier in self.carriers)
+        return any(carrier in ALONG for carrier in self.carriers)
 
     @property
     def formula(self) -> str:

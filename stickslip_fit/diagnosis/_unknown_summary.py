@@ -25,9 +25,11 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._summary import Column, Table, numbers
 from stickslip_fit.causes.profile import AlongTravel
+from stickslip_fit.causes.proposed import ANGLES
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, closest_cause
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
+from stickslip_fit.laws import state_at
 from stickslip_fit.logs.history import (
     DEPARTURES,
     JOINT_USE,
@@ -48,9 +50,11 @@ if TYPE_CHECKING:
 
     from stickslip_fit.diagnosis import Diagnosis
 
-POSITION, LOAD, LENGTH, ZETA, BEFORE_JOINT = "position", "load", "own_length", "zeta", "before_joint"
+POSITION, LENGTH, ZETA, BEFORE_JOINT = "position", "own_length", "zeta", "before_joint"
+LOAD, TRANSVERSE_LOAD = "load", "transverse_load"
 PERIOD_OF, SETTINGS_OF = "period of ", "settings of "  # with which some carriers begin
 MIN_EXPLAINED, MAX_EXPLAINING = 0.05, 5  # share of a structure; causes in the table
+N_ALONG = 101  # positions of a traverse, over which a load is averaged
 MIN_CLOSE = 0.1  # share of a structure that a cause explains, from which it is called close
 MIN_BENT = 0.1  # share of a structure that a cause explains only bent, from which that is told
 OPPOSITE = ", with opposite signs in the two directions"
@@ -91,11 +95,13 @@ COLUMN_WORDS = {
     },
     "session_seconds": "the time in the session",
     "session_order": "the number of traverses in the session",
+    "joint_travel": "the joint's own travel in the session, in whole ones",
     "steps_before": "the joint's own steps so far",
     "step_period": "the step period",
     POSITION: "the joint's own position",
     LENGTH: "the length of the traverse",
     LOAD: "the load",
+    TRANSVERSE_LOAD: "the transverse load",
     ZETA: "the angle zeta = psi − q2",
 }
 
@@ -401,6 +407,12 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
         angles = (np.array([row[name]], dtype=float) for name in ("q1", "q2", "theta", "psi"))
         load = mean_load(int(row["joint"]), *(np.array([end]) for end in ends), *angles)
         return f"{label} {format_significant(float(load[0]), 2)}"
+    if name == TRANSVERSE_LOAD:
+        start, stop = (float(row[end]) for end in ("start", "stop"))
+        along = np.linspace(start, stop, N_ALONG)[None]
+        values = {column: np.array([row[column]]) for column in ("start", "stop", *ANGLES)}
+        load = state_at(int(row["joint"]), values, along).transverse_load
+        return f"{label} {format_significant(float(np.mean(load)), 2)}"
     if name == "before_direction":
         return f"{label} {format_direction(str(row[name])) or 'unknown'}"
     value, unit = float(row[name]), ""

@@ -14,7 +14,7 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.function_of_cause import FunctionOfCause
 from stickslip_fit.causes.kinds import FactorCause
-from stickslip_fit.causes.proposed import SMOOTH_SCALE, JointTerm, PeriodicTerm, SmoothTerm
+from stickslip_fit.causes.proposed import LOAD, SMOOTH_SCALE, JointTerm, PeriodicTerm, SmoothTerm
 from stickslip_fit.diagnosis.hypotheses import (
     Hypothesis,
     SessionFit,
@@ -24,7 +24,11 @@ from stickslip_fit.diagnosis.hypotheses import (
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1, memory_alternatives
-from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
+from stickslip_fit.diagnosis.smooth_alternatives import (
+    build_smooth_alternatives,
+    find_carriers,
+    traverse_average,
+)
 from stickslip_fit.logs.log import number_configurations
 from stickslip_fit.logs.schema import has_times
 from stickslip_fit.units import PRISMATIC
@@ -78,6 +82,49 @@ def _alternatives_in_time(linearized: LinearizedFit) -> Iterator[Hypothesis]:
         yield from build_per_session_hypotheses(["unknown:time, each joint"], n, sessions, effects, [each])
     for clock in ("session_seconds", "session_order"):
         yield from _periodic_alternatives(linearized, sessions, clock)
+    yield from _waves_by_load(linearized, sessions)
+    yield from _waves_of_joints(linearized, sessions)
+
+
+def _waves_by_load(linearized: LinearizedFit, sessions: Sequence[SessionFit]) -> list[Hypothesis]:
+    """Waves in time in proportion to the load, each session's its own."""
+    load = next((one for one in find_carriers(linearized) if one.name == LOAD), None)
+    if load is None:
+        return []
+    of_traverse = np.nan_to_num(traverse_average(load.values))
+    limits = ((0.0, float(linearized.rows["session_seconds"].max())), (load.low, load.high))
+    orders: Any = {"orders": ((1, 1), (2, 1))}
+    return _plain_waves(linearized, sessions, ("session_seconds", LOAD), limits, of_traverse, **orders)
+
+
+def _waves_of_joints(linearized: LinearizedFit, sessions: Sequence[SessionFit]) -> Iterator[Hypothesis]:
+    """Waves of a single joint in its own travel, each session's its own."""
+    joint, most = linearized.rows["joint"].to_numpy(), float(linearized.rows["joint_travel"].max())
+    for number in map(int, np.unique(joint)):
+        on: Any = {"on": ((number, "+"), (number, "-"))}
+        inside = (joint == number).astype(float)
+        yield from _plain_waves(linearized, sessions, ("joint_travel",), ((0.0, most),), inside, **on)
+
+
+def _plain_waves(
+    linearized: LinearizedFit,
+    sessions: Sequence[SessionFit],
+    carriers: tuple[str, ...],
+    limits: tuple[tuple[float, float], ...],
+    size: Array,
+    **attributes: Any,
+) -> list[Hypothesis]:
+    """Waves in a clock, the first of the carriers, times the `size` of each row, shape (n,)."""
+    rows, acts = linearized.rows, size != 0
+    session, names = pd.factorize(rows["session"].astype(object))
+    values = rows[carriers[0]].to_numpy(float)
+    periods = choose_periods(values[acts], session[acts])
+    pairs = (
+        _cosines_and_sines(values, 1.0 / periods) * (SMOOTH_SCALE * size / linearized.scale)[:, None, None]
+    )
+    plain = PeriodicTerm(carriers, limits, sessions=tuple(map(str, names)), **attributes)
+    waves = [replace(plain, period=period) for period in periods.tolist()]
+    return build_per_session_hypotheses(_names(waves), len(rows), sessions, pairs, waves)
 
 
 def _periodic_alternatives(

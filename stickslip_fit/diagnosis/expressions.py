@@ -19,7 +19,7 @@ from stickslip_fit._typing import Array, BoolArray, IntArray, JointKinds
 from stickslip_fit.causes.proposed import (
     BEFORE_DIRECTION,
     LENGTH,
-    LOAD,
+    LOADS,
     POSITION,
     ZETA,
     CarrierFunction,
@@ -28,8 +28,14 @@ from stickslip_fit.causes.proposed import (
 )
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.smooth_alternatives import MIN_SHARE, Carrier, find_carriers, traverse_average
-from stickslip_fit.logs.history import FURTHER_HISTORY, condition_of
+from stickslip_fit.diagnosis.smooth_alternatives import (
+    MIN_SHARE,
+    Carrier,
+    find_carriers,
+    interact,
+    traverse_average,
+)
+from stickslip_fit.logs.history import condition_of
 from stickslip_fit.logs.schema import CONDITIONS, is_coordinate
 from stickslip_fit.units import from_si, to_si
 
@@ -147,9 +153,9 @@ def build_log_dictionary(linearized: LinearizedFit, machine: JointKinds) -> Dict
     products: list[tuple[CarrierFunction, ...]] = [(factor,) for factor, _ in single]
     columns = [values for _, values in single]
     for (one, values), (other, others) in combinations(single, 2):
-        if {one.carrier, other.carrier} & {ZETA, *FURTHER_HISTORY}:
+        if one.carrier == other.carrier or not interact(one.carrier, other.carrier):
             continue
-        if one.carrier != other.carrier and "x" in (one.expression, other.expression):
+        if "x" in (one.expression, other.expression):
             products.append((one, other))
             columns.append(values * others)
     if not products:
@@ -218,7 +224,9 @@ def _functions(carrier: Carrier, machine: JointKinds) -> Iterator[CarrierFunctio
         shown = units[name] if name in units else coordinate_unit(name, machine)
         for expression in (*plain, *(() if shown == "mm" else OF_ANGLES)):
             yield CarrierFunction(expression, name, shown=shown)
-    elif name in (LOAD, BEFORE_DIRECTION, "before_load"):
+    elif name == BEFORE_DIRECTION:
+        yield CarrierFunction("x", name)
+    elif name in (*LOADS, "before_load"):
         yield from (CarrierFunction(expression, name) for expression in plain)
     elif name in ("session_seconds", "steps_before"):
         shown = "h" if name == "session_seconds" else ""

@@ -28,7 +28,13 @@ from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_effects, make_hypothesis
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1
-from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause, remove_structure
+from stickslip_fit.diagnosis.misfit import (
+    UNKNOWN,
+    Misfit,
+    classify_cause,
+    remove_structure,
+    weigh_hypotheses,
+)
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
 MEMORY_MARGIN = 3.0  # nats by which an autoregression is likelier, whose noise looks like many a function
@@ -88,13 +94,15 @@ def propose_term(
         if isinstance(wave, PeriodicTerm):
             versions += [_with_changes(wave, length) for length in CHANGE_LENGTHS]
         shape = _likeliest(versions, shape, linearized, misfit.residual)
+        if isinstance(wave, PeriodicTerm) and not wave.on:
+            shape = _clearly_likelier(_of_single_joints(shape.version, linearized), shape, linearized, misfit)
     elif isinstance(shape.version, SmoothTerm) and len(shape.version.carriers) == 2:
         shape = _likeliest(_as_surfaces(shape.version), shape, linearized, misfit.residual)
     elif isinstance(shape.version, SmoothTerm) and shape.version.sessions:
         version: Any = average_forms(shape.version, linearized, misfit.residual)
         return [*others, _without_start(unknown, version, linearized)]
     elif isinstance(shape.version, SmoothTerm):
-        shape = _likeliest_length(shape, linearized, misfit.residual)
+        shape = _clearly_likelier(_with_details(shape.version), shape, linearized, misfit)
     size = _fit_strength(shape, misfit.residual, linearized.df)
     version = shape.version.with_amplitude(size.strength * np.sqrt(size.noise) / shape.length)
     return [*others, _without_start(unknown, version, linearized)]
@@ -138,11 +146,13 @@ def rank_forms(misfit: Misfit, rows: pd.DataFrame) -> tuple[list[int], list[int]
     """Places of what may follow unknown structure, the likeliest first: smooth functions, autoregressions.
 
     A short expression, which took the place of one of these, is looked for anew.
-    Of equally likely ones that of fewest joints: what no traverse of a joint shows is not said of it.
+    Of equally likely ones that of fewest joints: what no traverse of a joint shows is not said of it. One of
+    many shapes, as a product is, has to be likelier in proportion to their number.
     """
     shapes = misfit.hypotheses
     joints = _count_joints([shape.version for shape in shapes], rows)
-    places = np.lexsort((np.array(joints), -np.round(misfit.log_evidence, EVIDENCE_DECIMALS))).tolist()
+    likely = misfit.log_evidence + weigh_hypotheses(shapes, list(map(classify_cause, shapes)))
+    places = np.lexsort((np.array(joints), -np.round(likely, EVIDENCE_DECIMALS))).tolist()
     memory = [k for k in places if isinstance(shapes[k], AR1)]
     unknown = [k for k in places if shapes[k].version is not None and classify_cause(shapes[k]) == UNKNOWN]
     smooth = [k for k in unknown if not hasattr(shapes[k].version, "formula")]
@@ -164,14 +174,20 @@ def _periods_about(wave: Any) -> Iterable[Any]:
 def _with_harmonics(wave: Any, number: int) -> Any:
     """A wave with so many harmonics, each expected to be smaller in proportion to its order."""
     sds = tuple(sd / k for k in range(1, number + 1) for sd in wave.sds[:2])
-    return replace(wave, orders=tuple((k,) for k in range(1, len(sds) + 1)), sds=sds)
+    return _with_functions(wave, sds)
+
+
+def _with_functions(wave: Any, sds: tuple[float, ...]) -> Any:
+    """A wave with so many functions of its clock, of prior standard deviations `sds`."""
+    orders = tuple((k, *wave.orders[0][1:]) for k in range(1, len(sds) + 1))
+    return replace(wave, orders=orders, sds=sds)
 
 
 def _with_changes(wave: PeriodicTerm, length: float) -> PeriodicTerm:
     """A pure wave whose size and phase change as a smooth function of the time in the session does."""
     slow = prior_sds(length)
     sds = tuple(sd * times for times in (1.0, *map(float, slow)) for sd in wave.sds[:2])
-    return replace(wave, orders=tuple((k,) for k in range(1, len(sds) + 1)), sds=sds, n_slow=len(slow))
+    return replace(_with_functions(wave, sds), n_slow=len(slow))
 
 
 def _as_surfaces(term: SmoothTerm) -> Iterable[SmoothTerm]:
@@ -183,9 +199,19 @@ def _as_surfaces(term: SmoothTerm) -> Iterable[SmoothTerm]:
         yield replace(term, orders=orders, sds=tuple(size))
 
 
-def _likeliest_length(shape: Hypothesis, linearized: LinearizedFit, residual: Array) -> Hypothesis:
-    """A function of one carrier with details, where residuals, shape (n,), clearly say that it has any."""
-    best = _likeliest(_with_details(shape.version), shape, linearized, residual)
+def _of_single_joints(wave: PeriodicTerm, linearized: LinearizedFit) -> Iterable[PeriodicTerm]:
+    """A wave of each joint alone, and of each in one direction."""
+    for joint in map(int, linearized.rows["joint"].unique()):
+        for ways in ("+-", "+", "-"):
+            yield replace(wave, on=tuple((joint, way) for way in ways))
+
+
+def _clearly_likelier(
+    versions: Iterable[Any], shape: Hypothesis, linearized: LinearizedFit, misfit: Misfit
+) -> Hypothesis:
+    """A shape in another version, such as one with details, where residuals clearly say that it has them."""
+    residual = misfit.residual
+    best = _likeliest(versions, shape, linearized, residual)
     evidence, usual = (_fit_strength(one, residual, linearized.df).evidence for one in (best, shape))
     return best if evidence > usual + CLEARLY_LIKELIER else shape
 

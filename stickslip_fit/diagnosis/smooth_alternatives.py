@@ -22,8 +22,10 @@ from stickslip_fit.causes.proposed import (
     BEFORE_DIRECTION,
     LENGTH,
     LOAD,
+    LOADS,
     POSITION,
     SMOOTH_SCALE,
+    TRANSVERSE_LOAD,
     ZETA,
     SmoothTerm,
     TravelTerm,
@@ -47,6 +49,8 @@ BEYOND = 0.15  # of a range of positions, by which that of its functions is wide
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)  # of a carrier along a traverse
 HISTORY = ("session_seconds", "steps_before", "before_load", BEFORE_DIRECTION)
 FURTHER_OF_TRAVERSE = tuple(name for name in FURTHER_HISTORY if name != "session_order")
+# With which a load or a column of the log may count more or less.
+WITH_PRODUCTS = tuple(name for name in FURTHER_OF_TRAVERSE if name not in ("before_joint", *LATE_TEMPERATURE))
 MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below which it is left out
 MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out
 MAX_LOST = 0.1  # of the square of several parts, up to which each may lose its own share by itself
@@ -118,7 +122,7 @@ def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
         one for k, one in enumerate(history) if not any(rows[one].equals(rows[n]) for n in history[:k])
     ]
     # A machine without the published geometry has no gravity load.
-    load = (LOAD,) if rows["before_load"].notna().any() else ()
+    load = LOADS if rows["before_load"].notna().any() else ()
     # Where one of the two angles never changes, zeta is the other one.
     zeta = (ZETA,) if load and rows["psi"].nunique() > 1 and rows["q2"].nunique() > 1 else ()
     coordinates = (*ANGLES, *zeta, *position_columns(rows), *load, POSITION, LENGTH)
@@ -169,18 +173,21 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         *(
             (carrier.name, *_smooth_functions(carrier, length))
             for carrier in carriers
-            if carrier.name not in (POSITION, LENGTH)
+            if carrier.name not in (POSITION, TRANSVERSE_LOAD, LENGTH)
             for length in _lengths(carrier)
         ),
-        *(
-            (f"product of {one.name} and {other.name}", *_product(one, other, orders))
-            for one, other in combinations(carriers, 2)
-            for orders in _interactions(one.name, other.name)
-        ),
+    ]
+    of_joints = list(_of_each_joint(linearized, carriers, POSITION))
+    travel = tuple((joint, carrier.low, carrier.high) for joint, carrier in of_joints)
+    scaled = [_as_share(carrier, of_joints) if carrier.name == POSITION else carrier for carrier in carriers]
+    products = [
+        (f"product of {one.name} and {other.name}", *_product(one, other, orders, travel))
+        for one, other in combinations(scaled, 2)
+        for orders in _interactions(one.name, other.name)
     ]
     profiles = [
         (place, joint, *_smooth_functions(carrier, length))
-        for joint, carrier in _of_each_joint(linearized, carriers, POSITION)
+        for joint, carrier in of_joints
         for place, length in enumerate(_lengths(carrier))
     ]
     builder = _Builder(linearized)
@@ -189,6 +196,9 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         effects = builder.effects(functions)
         hypotheses += builder.shapes(name, term, effects) if name != LOAD else []
         hypotheses += builder.by_session(name, term, effects) if name in (*ANGLES, LOAD) else []
+    for name, term, functions in products:
+        own = {*WITH_PRODUCTS} & {*term.carriers}
+        hypotheses += (builder.broad if own else builder.shapes)(name, term, builder.effects(functions))
     for joint, carrier in _of_each_joint(linearized, carriers, LENGTH):
         # Of few lengths any function is as good as the few steps that a late stop adds to each count.
         if carrier.distinct >= MIN_LENGTHS:
@@ -257,27 +267,61 @@ def _smooth_functions(carrier: Carrier, length: float) -> tuple[SmoothTerm, Arra
 def _interactions(one: str, other: str) -> Sequence[tuple[tuple[int, int], ...]]:
     """Orders of the products of two carriers' functions that are looked for.
 
-    Of any carrier with a coordinate or the load, and of two columns of the log, that of the lowest functions;
-    without history all of the lowest two, as what turns with two joints, cos(q1 + q2), or is largest in the
-    middle has. A load that counts more at some positions has more along the joint's own travel.
+    Of any carrier with a coordinate or a load, and of columns of the log with each other and with history,
+    that of the lowest functions; without history all of the lowest two, as what turns with two joints,
+    cos(q1 + q2), or is largest in the middle has. A load that counts more at some positions has more along
+    the joint's own travel.
     """
     both = {one, other}
-    if both & {LENGTH, ZETA, *FURTHER_HISTORY}:
+    if not interact(one, other):
         return ()
     if POSITION in both and both & {*ANGLES}:
         return LOWEST, LOW
     if both == {LOAD, POSITION}:
         return LOWEST, tuple((1, k) if one == LOAD else (k, 1) for k in range(1, LOAD_ORDERS + 1))
-    of_log = [name in CONDITIONS or name.startswith(COVARIATE_PREFIX) for name in (one, other)]
-    if not (both & {LOAD, POSITION, *ANGLES} or all(of_log)):
+    if not (both & {*LOADS, POSITION, *ANGLES} or is_of_log(one) or is_of_log(other)):
         return ()
-    return (LOWEST,) if both & {*HISTORY} else (LOWEST, LOW)
+    return (LOWEST,) if both & {*HISTORY, *FURTHER_HISTORY} else (LOWEST, LOW)
 
 
-def _product(one: Carrier, other: Carrier, orders: tuple[tuple[int, int], ...]) -> tuple[SmoothTerm, Array]:
+def interact(one: str, other: str) -> bool:
+    """Whether products of two carriers are looked for.
+
+    Of history on which no published cause depends, those with a load and with a column of the log.
+    """
+    both = {one, other}
+    if both & {LENGTH, ZETA}:
+        return False
+    if not both & {*FURTHER_HISTORY}:
+        return True
+    partner = both - {*WITH_PRODUCTS}
+    return len(partner) == 1 and all(name in LOADS or is_of_log(name) for name in partner)
+
+
+def is_of_log(name: str) -> bool:
+    """Whether a carrier is a column that a lab wrote down."""
+    return name in CONDITIONS or name.startswith(COVARIATE_PREFIX)
+
+
+def _as_share(position: Carrier, of_joints: Sequence[tuple[int, Carrier]]) -> Carrier:
+    """The position along each joint's own range, from 0 to 1: joints have it in other units."""
+    share = np.full_like(position.values, np.nan)
+    for _, carrier in of_joints:
+        own = np.isfinite(carrier.values)
+        share[own] = ((carrier.values - carrier.low) / (carrier.high - carrier.low))[own]
+    return replace(position, values=share, low=0.0, high=1.0)
+
+
+def _product(
+    one: Carrier,
+    other: Carrier,
+    orders: tuple[tuple[int, int], ...],
+    travel: tuple[tuple[int, float, float], ...],
+) -> tuple[SmoothTerm, Array]:
     """Products of functions of two carriers, and their columns, shape (n, number of orders)."""
     limits = ((one.low, one.high), (other.low, other.high))
     term = SmoothTerm((one.name, other.name), limits, orders, (SMOOTH_SCALE,) * len(orders))
+    term = replace(term, travel=travel) if POSITION in term.carriers else term
     columns = [traverse_average(one.wave(first) * other.wave(second)) for first, second in orders]
     return term, SMOOTH_SCALE * np.stack(columns, axis=1)
 
@@ -335,14 +379,7 @@ class _Builder:
 
     def shapes(self, name: str, term: SmoothTerm, effects: _Effects) -> list[Hypothesis]:
         """The ways in which joints and directions may share some functions."""
-        opposite = replace(term, mode="opposite")
-        whole = self.subspace(effects)
-        found = [
-            self.make(f"{name}, opposite", opposite, [whole], self.sign)
-            if self.linearized.allows_opposite
-            else self.make(f"{name}, opposite", opposite, [self.subspace(effects, self.sign)])
-        ]
-        found.append(self.make(name, term, [whole]))
+        found = self.of_all(name, term, effects)
         for direction, sign in (("+", 1.0), ("-", -1.0)):
             on = tuple((joint, direction) for joint in self.rows_of)
             one_way = self.subspace(effects, None, np.flatnonzero(self.sign == sign))
@@ -356,6 +393,24 @@ class _Builder:
             each = replace(term, on=tuple(groups), each=True)
             found.append(self.make(f"{name}, each joint and direction", each, list(groups.values())))
         return [one for one in found if one is not None]
+
+    def broad(self, name: str, term: SmoothTerm, effects: _Effects) -> list[Hypothesis]:
+        """As `shapes`, without those of one direction."""
+        found = self.of_all(name, term, effects)
+        for joint, rows in self.rows_of.items() if len(self.rows_of) > 1 else ():
+            on = replace(term, on=((joint, "+"), (joint, "-")))
+            found.append(self.make(f"{name}, joint {joint}", on, [self.subspace(effects, None, rows)]))
+        return [one for one in found if one is not None]
+
+    def of_all(self, name: str, term: SmoothTerm, effects: _Effects) -> list[Hypothesis | None]:
+        """Functions of all joints, opposite by direction and alike."""
+        opposite, whole = replace(term, mode="opposite"), self.subspace(effects)
+        turned = (
+            self.make(f"{name}, opposite", opposite, [whole], self.sign)
+            if self.linearized.allows_opposite
+            else self.make(f"{name}, opposite", opposite, [self.subspace(effects, self.sign)])
+        )
+        return [turned, self.make(name, term, [whole])]
 
     def of_joint(
         self, joint: int, name: str, term: SmoothTerm, effects: _Effects

@@ -255,6 +255,13 @@ class State:
             return self.override_load
         return published_load(self.joint, self.q1, self.q2, self.theta, self.psi)
 
+    @cached_property
+    def transverse_load(self) -> Array:
+        """What the published load would be a quarter turn on: the part of gravity that acts across it."""
+        turn = 0.5 * np.pi
+        own = (self.q1 + turn, self.q2) if self.joint == 1 else (self.q1, self.q2 - turn)
+        return published_load(self.joint, *own, self.theta, self.psi)
+
     @property
     def direction_sign(self) -> Array:
         """1 where the joint moves in `+`, -1 where in `-`, shape (n, 1)."""

@@ -24,7 +24,8 @@ LATE_TEMPERATURE = {f"temperature_{minutes}min": 60.0 * minutes for minutes in (
 PAUSES = ("pause", "joint_pause", "other_pause", "tilt_age")
 # History on which no published cause depends.
 FURTHER_HISTORY = (
-    *("before_length", "before_gap", "before_joint", "other_load", *PAUSES, "session_order"),
+    *("before_length", "before_gap", "before_joint", "other_load", *PAUSES),
+    *("session_order", "joint_travel"),
     *RECENT_USE,
     *LATE_TEMPERATURE,
 )
@@ -73,7 +74,8 @@ def add_session_history(
     Of the traverse before of any joint: ``before_joint`` and ``pause`` (s from its start); of any other one:
     ``other_pause`` and ``other_load`` (s from its start, and its published load). All but the first two are
     NaN for a first traverse. Of the session: ``session_seconds`` and ``session_order``, time and traverses
-    since its first one; ``tilt_age``, time since the first one with this theta and psi without another tilt
+    since its first one; ``joint_travel``, the lengths of the joint's own traverses in it so far together, as
+    shares of its travel; ``tilt_age``, time since the first one with this theta and psi without another tilt
     between; the columns of `RECENT_USE`: the lengths of its traverses so far, as shares of their joints'
     travel, each times exp(-age / s), see `recent_use`; and those of `LATE_TEMPERATURE`, see `follow_late`.
     """
@@ -128,6 +130,7 @@ def add_session_history(
         joint_pause=np.where(own >= 0, seconds - seconds[own], np.nan),
         session_seconds=seconds,
         session_order=number.astype(float),
+        joint_travel=pd.Series(length).groupby(of_joint).cumsum().to_numpy() - length,
         other_load=np.where(other >= 0, loads[other], np.nan),
         other_pause=np.where(other >= 0, seconds - seconds[other], np.nan),
         tilt_age=since if has_load else np.nan,

@@ -6,6 +6,7 @@ from tests.hidden.effects import (
     clockwork,
     loads,
     outside,
+    outside_fourth,
     outside_history,
     outside_second,
     outside_state,
@@ -81,6 +82,14 @@ OUTSIDE_SETS: dict[int, dict[str, dict[str, Maker]]] = {
     1: OUTSIDE_LIBRARY,
     2: outside_second.SECOND,
     3: outside_third.THIRD,
+    4: outside_fourth.FOURTH,
 }
 
-EFFECTS = {**CAUSES, **OUTSIDE, **OUTSIDE_LIBRARY, **outside_second.SECOND, **outside_third.THIRD}
+EFFECTS = {
+    **CAUSES,
+    **OUTSIDE,
+    **OUTSIDE_LIBRARY,
+    **outside_second.SECOND,
+    **outside_third.THIRD,
+    **outside_fourth.FOURTH,
+}
