@@ -32,8 +32,10 @@ from stickslip_fit.diagnosis.residuals import term_change
 from stickslip_fit.laws import state_at
 from stickslip_fit.logs.history import (
     DEPARTURES,
+    JOINT_NET_USE,
     JOINT_USE,
     LATE_TEMPERATURE,
+    NET_USE,
     OTHER_USE,
     PAUSES,
     RECENT_USE,
@@ -88,6 +90,14 @@ COLUMN_WORDS = {
     **{
         name: f"the travel of the other joints in the last {seconds / 60.0:.0f} min or so"
         for name, seconds in OTHER_USE.items()
+    },
+    **{
+        name: f"the net travel, by its sign, in the last {seconds / 60.0:.0f} min or so"
+        for name, seconds in NET_USE.items()
+    },
+    **{
+        name: f"the joint's own net travel, by its sign, in the last {seconds / 60.0:.0f} min or so"
+        for name, seconds in JOINT_NET_USE.items()
     },
     **{
         name: f"the temperature some {seconds / 60.0:.0f} min late"
@@ -420,6 +430,10 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
         whose = " of its own" if name in JOINT_USE else " of the other joints" if name in OTHER_USE else ""
         minutes = from_si(RECENT_USE[name], "min")
         return f"{value:.2f} full travels{whose} in the last {minutes:.0f} min or so"
+    if name in NET_USE | JOINT_NET_USE:
+        whose = " of its own" if name in JOINT_NET_USE else ""
+        minutes = from_si((NET_USE | JOINT_NET_USE)[name], "min")
+        return f"net {value:.2f} full travels{whose} in the last {minutes:.0f} min or so"
     if name == "session_seconds":
         value, unit = from_si(value, "h"), " h"
     elif name in PAUSES:

@@ -429,8 +429,7 @@ def average_by_cause(causes: Sequence[str], log_weight: Array, log_evidence: Arr
 def weigh_hypotheses(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[str]) -> Array:
     """Log weight of each hypothesis: equal for the shapes of a cause; for ``unknown`` kind by kind.
 
-    A kind is what follows one carrier; of products and of waves, which are as many as all others, all together
-    have the share of `LARGE_KINDS`.
+    A kind is what follows one carrier. All products, and all waves, together have the share of `LARGE_KINDS`.
     """
     families = [
         hypothesis.cause.split(" ")[0].removesuffix(",") if cause == UNKNOWN else cause

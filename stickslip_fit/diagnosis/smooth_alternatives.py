@@ -41,7 +41,7 @@ from stickslip_fit.diagnosis.hypotheses import (
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.laws import state_at
-from stickslip_fit.logs.history import FURTHER_HISTORY, LATE_TEMPERATURE
+from stickslip_fit.logs.history import FURTHER_HISTORY, JOINT_NET_USE, LATE_TEMPERATURE, NET_USE
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, position_columns
 
 LENGTHS = (0.25, 0.1)  # correlation lengths, of the carrier's range
@@ -50,7 +50,8 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)  # of a carrier along a tra
 HISTORY = ("session_seconds", "steps_before", "before_load", BEFORE_DIRECTION)
 FURTHER_OF_TRAVERSE = tuple(name for name in FURTHER_HISTORY if name != "session_order")
 # With which a load or a column of the log may count more or less.
-WITH_PRODUCTS = tuple(name for name in FURTHER_OF_TRAVERSE if name not in ("before_joint", *LATE_TEMPERATURE))
+ALONE = ("before_joint", *NET_USE, *JOINT_NET_USE, *LATE_TEMPERATURE)
+WITH_PRODUCTS = tuple(name for name in FURTHER_OF_TRAVERSE if name not in ALONE)
 MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below which it is left out
 MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out
 MAX_LOST = 0.1  # of the square of several parts, up to which each may lose its own share by itself

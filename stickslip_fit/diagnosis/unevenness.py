@@ -25,12 +25,14 @@ from scipy.special import poch
 
 from stickslip_fit._rows import rank_within, unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.causes.proposed import POSITION, ZETA
+from stickslip_fit.causes.proposed import POSITION, TRANSVERSE_LOAD, ZETA
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.smooth_alternatives import find_carriers, traverse_average
-from stickslip_fit.logs.history import LATE_TEMPERATURE, RECENT_USE
+from stickslip_fit.logs.history import JOINT_NET_USE, LATE_TEMPERATURE, NET_USE, RECENT_USE
 
-NO_REASON = {ZETA, "other_load", "other_pause", "tilt_age", *RECENT_USE, *LATE_TEMPERATURE}  # for noise
+# Carriers that are no reason for noise.
+NO_REASON = {ZETA, TRANSVERSE_LOAD, "other_load", "other_pause", "tilt_age", "joint_travel"}
+NO_REASON |= {*RECENT_USE, *NET_USE, *JOINT_NET_USE, *LATE_TEMPERATURE}
 
 CONTAMINATION, CONTAMINATION_SCALE = 0.01, 5.0  # Cauchy component of all likelihoods: gross errors
 TAIL_DF = (5.0, 200.0)  # of Student t noise

@@ -18,6 +18,9 @@ USE = {f"use_{minutes}min": 60.0 * minutes for minutes in (5, 20, 80)}
 JOINT_USE = {f"joint_{name}": seconds for name, seconds in USE.items()}
 OTHER_USE = {f"other_{name}": seconds for name, seconds in USE.items()}
 RECENT_USE = USE | JOINT_USE | OTHER_USE
+# The same with the sign of the direction: what has crept, charged or moved one way and not yet come back.
+NET_USE = {f"net_{name}": seconds for name, seconds in USE.items()}
+JOINT_NET_USE = {f"joint_{name}": seconds for name, seconds in NET_USE.items()}
 # The room's temperature as a body has it that follows so many s late.
 LATE_TEMPERATURE = {f"temperature_{minutes}min": 60.0 * minutes for minutes in (10, 20, 40, 80)}
 # Times since something, s.
@@ -27,6 +30,8 @@ FURTHER_HISTORY = (
     *("before_length", "before_gap", "before_joint", "other_load", *PAUSES),
     *("session_order", "joint_travel"),
     *RECENT_USE,
+    *NET_USE,
+    *JOINT_NET_USE,
     *LATE_TEMPERATURE,
 )
 NEGLIGIBLE_USE = 1e-9  # share of what was driven
@@ -77,7 +82,8 @@ def add_session_history(
     since its first one; ``joint_travel``, the lengths of the joint's own traverses in it so far together, as
     shares of its travel; ``tilt_age``, time since the first one with this theta and psi without another tilt
     between; the columns of `RECENT_USE`: the lengths of its traverses so far, as shares of their joints'
-    travel, each times exp(-age / s), see `recent_use`; and those of `LATE_TEMPERATURE`, see `follow_late`.
+    travel, each times exp(-age / s), see `recent_use`; those of `NET_USE` and `JOINT_NET_USE`, the same with
+    the sign of each direction; and those of `LATE_TEMPERATURE`, see `follow_late`.
     """
     joint = rows["joint"].to_numpy()
     time = rows["time"].to_numpy(dtype="datetime64[ns]").view(np.int64)
@@ -110,9 +116,12 @@ def add_session_history(
     of_joint = session * (joint.max(initial=0) + 1) + joint
     own, last = previous_rows(of_joint), previous_rows(session)
     length = np.abs(stop - start) / travel
+    signed = np.where(backwards, -length, length)
     uses = {
         "all joints": partial(recent_use, length, seconds, session, USE),
         "each joint": partial(recent_use, length, seconds, of_joint, JOINT_USE),
+        "net": partial(recent_use, signed, seconds, session, NET_USE),
+        "net of each joint": partial(recent_use, signed, seconds, of_joint, JOINT_NET_USE),
     }
     use = {name: values for one in run_in_threads(uses, len(rows)).values() for name, values in one.items()}
     others = {f"other_{name}": np.maximum(use[name] - use[f"joint_{name}"], 0.0) for name in USE}

@@ -26,7 +26,7 @@ from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import ResidualComparison, find_carrier
 from stickslip_fit.estimation.profile import follows_position
-from stickslip_fit.logs.history import JOINT_USE, LATE_TEMPERATURE, OTHER_USE, USE
+from stickslip_fit.logs.history import JOINT_NET_USE, JOINT_USE, LATE_TEMPERATURE, NET_USE, OTHER_USE, USE
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times, position_columns
 from stickslip_fit.machine import Machine, mean_load
 from stickslip_fit.plotting._style import (
@@ -236,7 +236,7 @@ TRAVERSE_LABEL = "traverse"
 BEFORE_LABEL = "the traverse before (%)"
 PROPOSAL_LABEL = "what is proposed, as fitted"
 EFFECT_LABEL = "effect of the proposal (%)"
-CARRIER_LABELS = {"load": "load along the axis", "zeta": "zeta = psi"}
+CARRIER_LABELS = {"load": "load along the axis", "transverse_load": "transverse load", "zeta": "zeta = psi"}
 # Of history that no cause follows: its axis, and the unit of that where it is not SI.
 FURTHER_LABELS = {
     "before_length": ("length of the joint's traverse before (share of its travel)", ""),
@@ -255,6 +255,12 @@ FURTHER_LABELS = {
     **{name: (f"own full travels in {seconds / 60.0:.0f} min", "") for name, seconds in JOINT_USE.items()},
     **{
         name: (f"others' full travels in {seconds / 60.0:.0f} min", "") for name, seconds in OTHER_USE.items()
+    },
+    "joint_travel": ("own full travels in the session", ""),
+    **{name: (f"net full travels in {seconds / 60.0:.0f} min", "") for name, seconds in NET_USE.items()},
+    **{
+        name: (f"own net full travels in {seconds / 60.0:.0f} min", "")
+        for name, seconds in JOINT_NET_USE.items()
     },
 }
 
