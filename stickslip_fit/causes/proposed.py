@@ -41,7 +41,7 @@ FORMULA_NAMES = {
     **{name: f"own net travels in {seconds / 60.0:.0f} min" for name, seconds in JOINT_NET_USE.items()},
 }  # of carriers in formulas, where they have not their own
 LOADS = (LOAD, TRANSVERSE_LOAD)
-ALONG = (POSITION, *LOADS)  # what may change along a traverse
+ALONG = (POSITION, ZETA, *LOADS)  # what may change along a traverse
 CLOCK_UNITS = {
     "session_order": "traverses",
     "joint_travel": "travels of the joint",

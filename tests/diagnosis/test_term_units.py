@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import stickslip_fit as ssf
-from stickslip_fit.causes.proposed import LOAD, POSITION, ZETA, ProposedTerm
+from stickslip_fit.causes.proposed import LOADS, POSITION, ZETA, ProposedTerm
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis._json import diagnosis_to_json
 from stickslip_fit.diagnosis._summary import write_headline
@@ -60,6 +60,8 @@ def shown_values(row, machine):
         values[f"travels in {minutes} min"] = row[f"use_{minutes}min"]
         values[f"own travels in {minutes} min"] = row[f"joint_use_{minutes}min"]
         values[f"other travels in {minutes} min"] = row[f"other_use_{minutes}min"]
+        values[f"net travels in {minutes} min"] = row[f"net_use_{minutes}min"]
+        values[f"own net travels in {minutes} min"] = row[f"joint_net_use_{minutes}min"]
     for minutes in (10, 20, 40, 80):
         values[f"temperature {minutes}min"] = row[f"temperature_{minutes}min"] - 273.15
     if "q2" in values:
@@ -94,7 +96,7 @@ def test_every_formula_is_what_it_says(source, tmp_path):
         if not np.isfinite(dictionary.squares[0, best]) or (dictionary.n_factors[best] > 1 and best % 5):
             continue
         term, _ = dictionary.make(0, best, np.ones(1))
-        if {POSITION, LOAD} & {*term.carriers}:  # of which an effect is an average along the traverse
+        if {POSITION, *LOADS} & {*term.carriers}:  # of which an effect is an average along the traverse
             continue
         (parameter,) = term.parameters
         effects = -compute_changes(linearized, term, np.array([[to_si(1.0, parameter.unit)]]))[:, 0]
