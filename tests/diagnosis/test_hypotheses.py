@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from stickslip_fit.causes import library
@@ -100,6 +101,23 @@ def test_the_alarm_is_averaged_over_shapes_but_not_over_those_as_likely_as_the_b
     misfit = Misfit(np.zeros(2), tuple(shapes), evidence, by_cause, 0.001, np.zeros(0))
     cause = UNKNOWN if name.startswith(UNKNOWN) else name
     assert misfit.n_shapes(cause) == pytest.approx(number)
+
+
+def test_each_carrier_counts_alike_and_all_products_together_a_quarter():
+    names = [
+        *["theta"] * 3,
+        *["q2, joint 3"] * 5,
+        *["product of q2 and theta"] * 40,
+        *["period of 9.0 min"] * 90,
+    ]
+    names = [f"unknown:{name}" for name in names]
+    shapes = [Hypothesis(name, None, None, 2, (), np.ones(1), 1.0) for name in (*names, "drift", "drift")]
+    weight = np.exp(weigh_hypotheses(shapes, [classify_cause(one) for one in shapes]))
+    shares = pd.Series(weight).groupby([one.cause.split(" ")[0] for one in shapes]).sum()
+    expected = {"theta": 0.3125, "q2,": 0.3125, "product": 0.25, "period": 0.125}
+    assert shares.to_dict() == pytest.approx(
+        {f"unknown:{k}": v for k, v in expected.items()} | {"drift": 1.0}
+    )
 
 
 def test_which_forms_of_a_cause_count_as_known_is_no_matter_of_rounding():

@@ -91,6 +91,26 @@ def drifting_pump(table):
     return 0.008 * np.sin(turns / 14.0 + 2.5 * np.sin(turns / minutes.max())).to_numpy()
 
 
+def pump_by_load(table):
+    """A wave that gravity makes larger: of either sign, and nothing without load."""
+    minutes = (pd.to_datetime(table["time"]) - pd.to_datetime(table["time"]).min()).dt.total_seconds() / 60.0
+    zeta, theta = np.radians(table["psi_deg"] - table["q2_deg"]), np.radians(table["theta_deg"])
+    load = np.where(table["joint"] == 3, np.cos(zeta) * np.cos(theta), 0.0)
+    return 0.02 * np.nan_to_num(load) * np.sin(2.0 * np.pi * minutes / 17.3).to_numpy()
+
+
+def charge(table, minutes=12.0):
+    """What one joint's steps in one direction put onto an amplifier that all joints share, and that leaks."""
+    at, level, last, found = pd.to_datetime(table["time"]), {}, {}, np.zeros(len(table))
+    for row in at.argsort(kind="stable"):
+        session, sign = table["session"].iloc[row], 1.0 if table["direction"].iloc[row] == "+" else -1.0
+        age = (at.iloc[row] - last.get(session, at.iloc[row])).total_seconds() / 60.0
+        found[row] = level.get(session, 0.0) * np.exp(-age / minutes)
+        level[session] = found[row] + sign * float(table["steps"].iloc[row])
+        last[session] = at.iloc[row]
+    return 0.02 * found / np.abs(found).max()
+
+
 def read_with(effect, design, joints, seed=4, replicate=0):
     hidden = hide(design, seed=seed, replicate=replicate)
     table = hidden.table.copy()
@@ -114,6 +134,8 @@ def diagnose_with(effect, design, joints):
         ),
         (creep_after_a_tilt, "session", (2, 3), {"tilt_age"}),
         (faster_and_faster, "session", (2, 3), {"session_seconds"}),
+        (pump_by_load, "thesis", (2, 3), {"session_seconds", "load"}),
+        (charge, "session", (2, 3), {"net_use_20min"}),
         pytest.param(warmth, "session", (2, 3), {"joint_use_20min"}, marks=pytest.mark.nightly),
         pytest.param(warmth, "many", (1, 2, 3), {"joint_use_20min"}, marks=pytest.mark.nightly),
     ],

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from stickslip_fit.causes import CauseParameter
-from stickslip_fit.causes.proposed import SmoothTerm
+from stickslip_fit.causes.proposed import LOAD, POSITION, TRANSVERSE_LOAD, ZETA, SmoothTerm
 from stickslip_fit.causes.smooth import LinearFactor, cosines, prior_sds
+from stickslip_fit.diagnosis.hypotheses import compute_changes
 from stickslip_fit.diagnosis.linearized import linearize_fit
 from stickslip_fit.diagnosis.problem import problem_from_log
 from tests.hidden.generate import hide
@@ -99,6 +100,39 @@ def test_slopes_in_closed_form_are_those_of_differences(log_problem):
         rtol=1e-3,
         atol=1e-5,
     )
+
+
+@pytest.mark.parametrize("carrier", [POSITION, ZETA, LOAD, TRANSVERSE_LOAD])
+@pytest.mark.parametrize("joint", [1, 2])
+def test_a_function_is_averaged_along_the_traverse(joint, carrier):
+    """By hand: the step size hardly changes along a traverse, and an effect counts alike everywhere."""
+    problem = problem_from_log(read_hidden(hide("many", seed=4)))[0]
+    linearized, size = problem.linearize(), 1e-4
+    changes = compute_changes(linearized, SmoothTerm((carrier,), ((-4.0, 4.0),)), np.array([[size]]))[:, 0]
+    rows = problem.rows[(problem.rows["joint"] == joint).to_numpy()]
+    along = rows["start"].to_numpy()[:, None] + np.ptp(rows[["start", "stop"]].to_numpy(), axis=1)[
+        :, None
+    ] * np.sign(rows["stop"] - rows["start"]).to_numpy()[:, None] * np.linspace(0.0, 1.0, 201)
+    q1, q2 = (along if joint == own else rows[f"q{own}"].to_numpy()[:, None] for own in (1, 2))
+    theta, psi = (rows[name].to_numpy()[:, None] for name in ("theta", "psi"))
+    zeta = psi - q2
+    values = {
+        POSITION: along,
+        ZETA: zeta + 0.0 * along,
+        LOAD: {
+            1: np.cos(theta) * np.sin(psi) * np.sin(q1) + np.sin(theta) * np.cos(q1),
+            2: np.sin(zeta) * np.cos(theta),
+        }[joint],
+        TRANSVERSE_LOAD: {
+            1: np.cos(theta) * np.sin(psi) * np.cos(q1) - np.sin(theta) * np.sin(q1),
+            2: np.cos(zeta) * np.cos(theta),
+        }[joint],
+    }[carrier]
+    by_hand = -np.cos(np.pi * (values + 4.0) / 8.0).mean(axis=1)
+    acts = changes[(problem.rows["joint"] == joint).to_numpy()] / size
+    known = np.isfinite(by_hand) & (np.ptp(along, axis=1) < np.pi / 2)
+    assert known.sum() > 20
+    np.testing.assert_allclose(acts[known], by_hand[known], atol=0.05)
 
 
 def test_functions_are_computed_once_however_often_a_model_is_asked(log_problem, monkeypatch):

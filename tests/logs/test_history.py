@@ -15,9 +15,10 @@ from stickslip_fit.logs.history import previous_rows
 SHARED = Path(__file__).parents[3] / "shared"
 HISTORY = ["before_direction", "before_load", "steps_before", "session_seconds"]
 OTHER_HISTORY = ["before_length", "before_gap", "joint_pause", "before_joint", "pause", "other_load"]
-OTHER_HISTORY += ["other_pause", "tilt_age", "session_order"]
+OTHER_HISTORY += ["other_pause", "tilt_age", "session_order", "joint_travel"]
 MINUTES = [5, 20, 80]
-USE = [f"{whose}use_{minutes}min" for whose in ("", "joint_", "other_") for minutes in MINUTES]
+WHOSE = ("", "joint_", "other_", "net_", "joint_net_")
+USE = [f"{whose}use_{minutes}min" for whose in WHOSE for minutes in MINUTES]
 TRAVEL = {1: math.radians(240), 2: math.radians(240), 3: 0.012}
 
 
@@ -79,12 +80,16 @@ def slow_other_history(rows: list[dict]) -> list[tuple[float, ...]]:
                 break
             tilted = one["time"]
         values.append((row["time"] - tilted).total_seconds())
-        found.append((*values, len(earlier)))
+        driven = [abs(one["stop"] - one["start"]) for one in earlier if one["joint"] == row["joint"]]
+        found.append((*values, len(earlier), sum(driven) / travel))
     return found
 
 
 def slow_use(rows: list[dict]) -> list[list[float]]:
-    """Full travels before each row in its session, of all joints, its own and the others; older ones less."""
+    """Full travels before each row in its session, of all joints, its own and the others; older ones less.
+
+    Then of all joints and its own those in +, less those in -.
+    """
     found = []
     for row in rows:
         before = [one for one in rows if one["time"] < row["time"] and one["session"] == row["session"]]
@@ -93,11 +98,13 @@ def slow_use(rows: list[dict]) -> list[list[float]]:
         found.append(
             [
                 sum(
-                    abs(one["stop"] - one["start"]) / TRAVEL[one["joint"]]
+                    size(one["stop"] - one["start"]) / TRAVEL[one["joint"]]
                     * 2.718281828459045 ** -((row["time"] - one["time"]).total_seconds() / 60 / minutes)
                     for one in some
                 )
-                for some in (before, own, others)
+                for some, size in (
+                    (before, abs), (own, abs), (others, abs), (before, float), (own, float)
+                )
                 for minutes in MINUTES
             ]
         )  # fmt: skip
