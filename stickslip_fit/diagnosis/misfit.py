@@ -58,7 +58,8 @@ UNKNOWN = "unknown"
 MAX_DEVIATION = 2.5
 FINE_STRENGTHS = np.geomspace(4.0, 400.0, 11)  # the same of structure far above the noise
 MAX_DETECTION_LENGTH = 60.0  # whitened norm
-MIN_LOG_BAYES_FACTOR = 5.0  # nats for a structure to be subtracted before the bootstrap
+# Nats for a structure to be subtracted before the bootstrap: of its evidence, and of its odds to nothing.
+MIN_LOG_BAYES_FACTOR, MIN_LOG_ODDS = 5.0, -6.0
 # Nats for a version of a cause that adds parameters to another: of its evidence, or of a criterion.
 MIN_ADDED_LOG_EVIDENCE, MIN_CRITERION_GAIN = 2.0, 1.0
 # Shares of the evidence of structure without a name, by the first word of an alternative's name.
@@ -106,11 +107,14 @@ def remove_structure(
 ) -> StructureRemoved:
     """Subtract the likeliest structure from residuals, (n,), shrunk as its prior says.
 
-    At the likeliest strength whatever the noise, which is known only once the structure is removed.
+    At the likeliest strength whatever the noise, which is known only once the structure is removed. Of
+    thousands of shapes one is about as likely as this in noise alone.
     """
+    causes, zeros = list(map(classify_cause, hypotheses)), np.zeros(len(residual))
+    log_odds = log_evidence + weigh_hypotheses(hypotheses, causes) - np.log(len({*causes}))
     best = int(np.argmax(log_evidence))
-    shape, zeros = hypotheses[best], np.zeros(len(residual))
-    if log_evidence[best] < MIN_LOG_BAYES_FACTOR:
+    shape = hypotheses[best]
+    if log_evidence[best] < MIN_LOG_BAYES_FACTOR or log_odds[best] < MIN_LOG_ODDS:
         return StructureRemoved(residual, zeros)
     if isinstance(shape, AR1):
         return StructureRemoved(residual - shape.shape(residual), zeros, float(log_evidence[best]))

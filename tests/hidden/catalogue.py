@@ -6,6 +6,7 @@ from tests.hidden.effects import (
     clockwork,
     loads,
     outside,
+    outside_fifth,
     outside_fourth,
     outside_history,
     outside_second,
@@ -83,6 +84,7 @@ OUTSIDE_SETS: dict[int, dict[str, dict[str, Maker]]] = {
     2: outside_second.SECOND,
     3: outside_third.THIRD,
     4: outside_fourth.FOURTH,
+    5: outside_fifth.FIFTH,
 }
 
 EFFECTS = {
@@ -92,4 +94,5 @@ EFFECTS = {
     **outside_second.SECOND,
     **outside_third.THIRD,
     **outside_fourth.FOURTH,
+    **outside_fifth.FIFTH,
 }

@@ -76,7 +76,7 @@ def test_what_came_before_is_counted_and_measured_as_a_log_tells_it(read):
     assert abs(np.corrcoef(np.exp(-3 * own[~first]), effect)[0, 1]) > 0.99
 
 
-@pytest.mark.parametrize(("number", "size"), [(1, 30), (2, 24), (3, 27), (4, 24)])
+@pytest.mark.parametrize(("number", "size"), [(1, 30), (2, 24), (3, 27), (4, 24), (5, 20)])
 def test_there_are_so_many_cases_each_of_its_strength_at_a_plausible_size(number, size):
     made = cases((25.0,), 50, number)
     assert len({(each.name, each.form) for each in made}) == len(made) == size
