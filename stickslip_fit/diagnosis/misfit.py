@@ -64,7 +64,7 @@ MIN_LOG_BAYES_FACTOR, MIN_LOG_ODDS = 5.0, -6.0
 MIN_ADDED_LOG_EVIDENCE, MIN_CRITERION_GAIN = 2.0, 1.0
 # Shares of the evidence of structure without a name, by the first word of an alternative's name.
 LARGE_KINDS = {"product": 0.25, "period": 0.125}
-UNKNOWN_WEIGHT = 4.0  # in the test's statistic, in which each cause has 1: what nobody thought of is not rare
+UNKNOWN_WEIGHT = 4.0  # beforehand, that of each cause being 1: what nobody thought of is not rare
 MIN_AHEAD = 1e-3  # nats, more than rounding
 MAX_ROW_SHARE = 0.4  # of an effect's prior variance in one row
 MIN_LEFT_SHARE = 0.5  # of a cause's shapes, that are in more rows
@@ -317,7 +317,6 @@ def compute_misfit(
     weight = weigh_hypotheses(hypotheses, causes)
     own = batch.log_evidence(linearized.residual[:, None])[:, 0]
     by_cause = average_by_cause(causes, weight, own)
-    in_statistic = weight + np.log([UNKNOWN_WEIGHT if cause == UNKNOWN else 1.0 for cause in causes])
     null, share = np.zeros(0), np.nan
     # In noise that persists, what changes at once and stays so is one row far out, whitened.
     bound = MAX_DEVIATION if linearized.noise_filter is None else np.inf
@@ -328,7 +327,7 @@ def compute_misfit(
         size = min(BATCH_SIZE, max(MAX_ELEMENTS // max(len(linearized), batch.n_coefficients), 1))
         for first in range(0, number, size):
             noise = winsorize(draw_noise(min(size, number - first)), bound)
-            null = np.concatenate([null, batch.log_mean_evidence(linearized.project(noise), in_statistic)])
+            null = np.concatenate([null, batch.log_mean_evidence(linearized.project(noise), weight)])
             is_clear = len(null) >= enough and statistic > null.max() + MAX_DOUBTFUL_LOG_EVIDENCE
             exceedances = int(np.sum(null[before:] >= statistic))
             if max_exceedances is not None and (is_clear or exceedances >= max_exceedances):
@@ -340,7 +339,7 @@ def compute_misfit(
         shrinkage = np.sqrt(1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE))
         standardized = left.residual / shrinkage
         within = linearized.project(winsorize(linearized.residual / shrinkage, bound) * shrinkage)
-        statistic = float(batch.log_mean_evidence(within[:, None], in_statistic)[0])
+        statistic = float(batch.log_mean_evidence(within[:, None], weight)[0])
         wild = _make_wild_sampler(linearized, left, rng)
         student = _make_student_sampler(standardized, rng)
         sampler = wild or student
@@ -446,9 +445,8 @@ def weigh_hypotheses(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[st
     left = 1.0 - sum(large[kind] for kind in kinds if kind in large)
     share = {kind: large.get(kind, left / max(len(small), 1)) for kind in kinds}
     total = sum(share.values())  # less than 1 where there are none but large kinds
-    return np.array(
-        [np.log(share[family] / total if family in share else 1.0) - sizes[family] for family in families]
-    )
+    weights = [UNKNOWN_WEIGHT * share[one] / total if one in share else 1.0 for one in families]
+    return np.log(weights) - np.array([sizes[family] for family in families])
 
 
 def detection_length(critical: float, n_shapes: float, df: int) -> float:
