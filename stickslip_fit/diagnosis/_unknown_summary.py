@@ -123,13 +123,16 @@ def describe_carrier(carrier: str) -> str:
     --------
     >>> describe_carrier("period of 41.2 min"), describe_carrier("time, joint 3")
     ('comes and goes with a period of 41.2 min', 'changes slowly with time, in joint 3')
+    >>> describe_carrier("period of 9.0 min, by load")
+    'comes and goes with a period of 9.0 min in proportion to the load'
     >>> describe_carrier("memory-by-direction of each joint, + only")
     'carries over from one traverse of each joint to the next in direction +'
     >>> describe_carrier("product of load and session_seconds, joint 3")
     'follows the product of the load and the time in the session, joint 3'
     """
     if carrier.startswith("period"):
-        return f"comes and goes with a {carrier.replace(', opposite', OPPOSITE)}"
+        wave = carrier.replace(", by load", " in proportion to the load").replace(", opposite", OPPOSITE)
+        return f"comes and goes with a {wave}"
     if carrier.startswith("memory"):
         chain, _, direction = carrier.partition(", ")
         joint = chain.removeprefix("memory-by-direction").removeprefix("memory").strip() or "of any joint"
@@ -182,7 +185,8 @@ def describe_proposal(finding: Finding) -> str:
     """What is put into the law for structure without a name, without a full stop."""
     steps, worth = _name_steps(finding), _describe_worth(finding)
     if not finding.term and hasattr(finding.version, "period"):
-        period = describe_carrier(finding.carrier).replace("comes and goes", "come and go")
+        period = re.sub(r", joint .*", "", describe_carrier(finding.carrier))  # which `steps` says
+        period = period.replace("comes and goes", "come and go")
         changes = ", whose size and phase change," * bool(getattr(finding.version, "n_slow", 0))
         each = _name_each(finding)
         return f"{steps} {period}, which no known cause does; a wave{each}{changes} is proposed; {worth}"

@@ -216,8 +216,16 @@ def _with_law(finding: Finding, selection: Selection, selected: SelectedCause, c
     parameters = _size_parameters(version, UNKNOWN, values, errors) if formula else ()
     joints = _joints_of(version, selection)
     travel = find_travel_profiles(version, values, errors, joints, selection.problem.rows)
+    # A wave may be of fewer joints than it was found in.
+    of_wave = {"joints": tuple(joints)} if isinstance(version, PeriodicTerm) and version.on else {}
     return replace(
-        finding, version=version, term=formula, carrier=carrier, parameters=parameters, travel=travel
+        finding,
+        version=version,
+        term=formula,
+        carrier=carrier,
+        parameters=parameters,
+        travel=travel,
+        **of_wave,
     )
 
 

@@ -89,13 +89,14 @@ def propose_term(
         return [*others, replace(unknown, version=term.version, start=term.start, tested=linearized)]
     if isinstance(shape.version, PeriodicTerm | PeriodicTableTerm):
         shape = _likeliest(_periods_about(shape.version), shape, linearized, misfit.residual)
+        if isinstance(shape.version, PeriodicTerm) and not shape.version.on:
+            shape = _clearly_likelier(_of_single_joints(shape.version, linearized), shape, linearized, misfit)
         wave: Any = shape.version
         versions = [_with_harmonics(wave, number) for number in NUMBERS_OF_HARMONICS]
-        if isinstance(wave, PeriodicTerm):
-            versions += [_with_changes(wave, length) for length in CHANGE_LENGTHS]
         shape = _likeliest(versions, shape, linearized, misfit.residual)
-        if isinstance(wave, PeriodicTerm) and not wave.on:
-            shape = _clearly_likelier(_of_single_joints(shape.version, linearized), shape, linearized, misfit)
+        if isinstance(wave, PeriodicTerm):
+            changing = [_with_changes(wave, length) for length in CHANGE_LENGTHS]
+            shape = _clearly_likelier(changing, shape, linearized, misfit)
     elif isinstance(shape.version, SmoothTerm) and len(shape.version.carriers) == 2:
         shape = _likeliest(_as_surfaces(shape.version), shape, linearized, misfit.residual)
     elif isinstance(shape.version, SmoothTerm) and shape.version.sessions:

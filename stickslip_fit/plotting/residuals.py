@@ -114,7 +114,8 @@ def _fit_covariates(rows: pd.DataFrame, machine: Machine) -> dict[str, np.ndarra
     return {label: x for label, x in quantities.items() if len(x) and np.ptp(x) > 1e-6}
 
 
-PERIOD_PATTERN = re.compile(r"period of ([0-9.]+) (min|traverses)")
+# Not in proportion to the load, nor in the own travel of a joint.
+PERIOD_PATTERN = re.compile(r"period of ([0-9.]+) (min|traverses)(?:, joint .*)?")
 
 
 def fold_phase(carrier: str, rows: pd.DataFrame, shape: Array) -> tuple[str, Array] | None:

@@ -162,6 +162,14 @@ def test_a_wave_may_change_its_size_and_phase():
     assert np.sqrt(np.mean(error**2)) < 0.0039
 
 
+def test_a_wave_by_load_is_that_of_the_joint_that_has_it():
+    found = diagnose_with(pump_by_load, "thesis", (2, 3))
+    (finding,) = found.findings
+    assert (finding.joints, finding.version.n_slow, len(finding.version.orders)) == ((3,), 0, 2)
+    text = " ".join(found.summary().headline)
+    assert "Joint 3's steps come and go with a period of 17.3 min in proportion to the load" in text
+
+
 def test_recent_use_is_told_as_warmth():
     found = diagnose_with(warmth, "session", (2, 3))
     text = " ".join(found.summary().headline)
