@@ -26,7 +26,7 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1, memory_alternatives
 from stickslip_fit.diagnosis.smooth_alternatives import (
     build_smooth_alternatives,
-    find_carriers,
+    find_load,
     traverse_average,
 )
 from stickslip_fit.logs.log import number_configurations
@@ -88,7 +88,7 @@ def _alternatives_in_time(linearized: LinearizedFit) -> Iterator[Hypothesis]:
 
 def _waves_by_load(linearized: LinearizedFit, sessions: Sequence[SessionFit]) -> list[Hypothesis]:
     """Waves in time in proportion to the load, each session's its own."""
-    load = next((one for one in find_carriers(linearized) if one.name == LOAD), None)
+    load = find_load(linearized)
     if load is None:
         return []
     of_traverse = np.nan_to_num(traverse_average(load.values))

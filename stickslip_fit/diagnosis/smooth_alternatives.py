@@ -40,7 +40,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     make_hypothesis,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.laws import state_at
+from stickslip_fit.laws import State, state_at
 from stickslip_fit.logs.history import FURTHER_HISTORY, JOINT_NET_USE, LATE_TEMPERATURE, NET_USE
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, position_columns
 
@@ -113,36 +113,49 @@ def traverse_average(values: Array) -> Array:
 
 def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
     """The coordinates, history and columns that vary in some rows of a log."""
-    rows, n = linearized.rows, len(linearized)
+    rows = linearized.rows
     own = [str(name) for name in rows.columns if str(name).startswith(COVARIATE_PREFIX)]
     columns = [name for name in (*CONDITIONS, *own) if name in rows]
     history = [name for name in HISTORY if name in rows and rows[name].notna().all()]
     history += [name for name in FURTHER_OF_TRAVERSE if name in rows and rows[name].notna().any()]
     history = [name for name in history if name not in LATE_TEMPERATURE or _is_late(rows, name)]
-    history = [
-        one for k, one in enumerate(history) if not any(rows[one].equals(rows[n]) for n in history[:k])
-    ]
+    # Where one joint moves, what it did is what all did: of columns that are the same one is enough.
+    history = list({rows[name].to_numpy().tobytes(): name for name in reversed(history)}.values())[::-1]
     # A machine without the published geometry has no gravity load.
     load = LOADS if rows["before_load"].notna().any() else ()
     # Where one of the two angles never changes, zeta is the other one.
     zeta = (ZETA,) if load and rows["psi"].nunique() > 1 and rows["q2"].nunique() > 1 else ()
     coordinates = (*ANGLES, *zeta, *position_columns(rows), *load, POSITION, LENGTH)
     names = dict.fromkeys((*coordinates, *columns, *history))
-    states = []
+    states = list(_states_along(linearized))
+    carriers = (_make_carrier(name, _along_traverses(len(rows), states, name)) for name in names)
+    return [carrier for carrier in carriers if carrier is not None]
+
+
+def find_load(linearized: LinearizedFit) -> Carrier | None:
+    """The load along the traverses of a log; None where there is none."""
+    if linearized.rows["before_load"].isna().all():
+        return None
+    states = list(_states_along(linearized))
+    return _make_carrier(LOAD, _along_traverses(len(linearized), states, LOAD))
+
+
+def _states_along(linearized: LinearizedFit) -> Iterator[tuple[IntArray, State]]:
+    """The machine along the traverses of each joint, with their rows."""
     for part, table in zip(linearized.parts, linearized.tables, strict=True):
         joint = getattr(part.law, "joint", None)
-        if joint is None:
-            continue
-        start, stop = (np.asarray(table[end], dtype=float)[:, None] for end in ("start", "stop"))
-        states.append((part.rows, state_at(joint, table, (start + stop) / 2 + (stop - start) / 2 * NODES)))
-    carriers = []
-    for name in names:
-        known = [(places, carrier_values(state, name)) for places, state in states]
-        values = np.full((n, max((each.shape[1] for _, each in known), default=1)), np.nan)
-        for places, each in known:
-            values[places] = each
-        carriers.append(_make_carrier(name, values))
-    return [carrier for carrier in carriers if carrier is not None]
+        if joint is not None:
+            start, stop = (np.asarray(table[end], dtype=float)[:, None] for end in ("start", "stop"))
+            yield part.rows, state_at(joint, table, (start + stop) / 2 + (stop - start) / 2 * NODES)
+
+
+def _along_traverses(n: int, states: Sequence[tuple[IntArray, State]], name: str) -> Array:
+    """A carrier along n traverses, shape (n, k) or (n, 1); NaN where it is unknown."""
+    known = [(places, carrier_values(state, name)) for places, state in states]
+    values = np.full((n, max((each.shape[1] for _, each in known), default=1)), np.nan)
+    for places, each in known:
+        values[places] = each
+    return values
 
 
 def _is_late(rows: pd.DataFrame, name: str) -> bool:
