@@ -420,13 +420,13 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
         ends = (float(row[end]) for end in ("start", "stop"))
         angles = (np.array([row[name]], dtype=float) for name in ("q1", "q2", "theta", "psi"))
         load = mean_load(int(row["joint"]), *(np.array([end]) for end in ends), *angles)
-        return f"{label} {format_significant(float(load[0]), 2)}"
+        return f"{label} {_format_load(float(load[0]))}"
     if name == TRANSVERSE_LOAD:
         start, stop = (float(row[end]) for end in ("start", "stop"))
         along = np.linspace(start, stop, N_ALONG)[None]
         values = {column: np.array([row[column]]) for column in ("start", "stop", *ANGLES)}
         load = state_at(int(row["joint"]), values, along).transverse_load
-        return f"{label} {format_significant(float(np.mean(load)), 2)}"
+        return f"{label} {_format_load(float(np.mean(load)))}"
     if name == "before_direction":
         return f"{label} {format_direction(str(row[name])) or 'unknown'}"
     value, unit = float(row[name]), ""
@@ -446,6 +446,17 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
         shown = CONDITIONS[condition_of(name)].unit
         value, unit = from_si(value, shown), f" {shown}"
     return f"{label} {format_significant(float(value), 3)}{unit}"
+
+
+def _format_load(load: float) -> str:
+    """A load, which is at most 1; 0 where only rounding makes it none.
+
+    Examples
+    --------
+    >>> _format_load(6e-17), _format_load(-0.8412)
+    ('0.0', '−0.84')
+    """
+    return format_significant(round(load, 3) + 0.0, 2)
 
 
 def explains_tables(diagnosis: Diagnosis) -> list[Table]:
