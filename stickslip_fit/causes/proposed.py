@@ -42,10 +42,7 @@ FORMULA_NAMES = {
 }  # of carriers in formulas, where they have not their own
 LOADS = (LOAD, TRANSVERSE_LOAD)
 ALONG = (POSITION, ZETA, *LOADS)  # what may change along a traverse
-CLOCK_UNITS = {
-    "session_order": "traverses",
-    "joint_travel": "travels of the joint",
-}
+CLOCK_UNITS = {"session_order": "traverses", "joint_travel": "travels of the joint"}
 SMOOTH_SCALE = 0.01  # of a smooth function's coefficients
 Mode = Literal["same", "opposite"]
 
@@ -229,10 +226,8 @@ class SmoothTerm(LogLinearFactor):
     def limits_of(self, joint: int) -> tuple[tuple[float, float], ...]:
         """Range of each carrier where this joint moves."""
         own = {number: (low, high) for number, low, high in self.travel}
-        return tuple(
-            own.get(joint, limits) if carrier == POSITION else limits
-            for carrier, limits in zip(self.carriers, self.limits, strict=True)
-        )
+        pairs = zip(self.carriers, self.limits, strict=True)
+        return tuple(own.get(joint, limits) if name == POSITION else limits for name, limits in pairs)
 
     def waves(self, values: Sequence[Array], limits: Sequence[tuple[float, float]]) -> list[Array]:
         """Functions of each carrier, from its values, shape (n, k) -> (n, k, highest order)."""
@@ -345,10 +340,8 @@ class PeriodicTerm(SmoothTerm):
 
     Attributes
     ----------
-    carriers : tuple of str
-        The clock; and the load, where the wave is in proportion to it.
     period : float
-        In the unit of the clock.
+        In the unit of the clock, the first of `carriers`; where the load is the second, it is in proportion.
     n_slow : int
         Functions of each session's time by which the wave's size and phase may change in it; 0 for none.
     """
@@ -369,8 +362,8 @@ class PeriodicTerm(SmoothTerm):
             text = f"period of {from_si(self.period, 'min'):.1f} min"
         else:
             text = f"period of {self.period:.1f} {CLOCK_UNITS[self.carriers[0]]}"
-        text += ", by load" * (LOAD in self.carriers) + ", opposite" * (self.mode == "opposite")
-        return text + describe_where(self.on, "same")
+        ends = ", by load" * (LOAD in self.carriers) + ", opposite" * (self.mode == "opposite")
+        return text + ends + describe_where(self.on, "same")
 
     def waves(self, values: Sequence[Array], limits: Sequence[tuple[float, float]]) -> list[Array]:
         """See `SmoothTerm.waves`: cosine and sine of each harmonic, each by itself and times slow cosines."""

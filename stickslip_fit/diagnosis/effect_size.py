@@ -217,15 +217,15 @@ def _with_law(finding: Finding, selection: Selection, selected: SelectedCause, c
     joints = _joints_of(version, selection)
     travel = find_travel_profiles(version, values, errors, joints, selection.problem.rows)
     # A wave may be of fewer joints than it was found in.
-    of_wave = {"joints": tuple(joints)} if isinstance(version, PeriodicTerm) and version.on else {}
+    of_wave = isinstance(version, PeriodicTerm) and version.on
     return replace(
         finding,
         version=version,
+        joints=joints if of_wave else finding.joints,
         term=formula,
         carrier=carrier,
         parameters=parameters,
         travel=travel,
-        **of_wave,
     )
 
 

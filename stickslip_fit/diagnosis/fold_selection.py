@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.special import logsumexp
 
 from stickslip_fit._typing import IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
@@ -103,8 +102,7 @@ class Looks:
 
     def _ahead_of_noise(self, without: Misfit) -> float:
         """Nats of a test's statistic beyond its critical value."""
-        statistic = float(logsumexp(list(without.log_evidence_by_cause.values())))
-        return statistic - without.critical_value(self.level)
+        return without.statistic - without.critical_value(self.level)
 
     def _is_known(self, place: int, without: Misfit, rows: IntArray) -> bool:
         """Whether a cause in the law, or a pair of these, is selected first, and not unknown structure."""

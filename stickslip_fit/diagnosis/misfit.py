@@ -37,7 +37,7 @@ from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.special import poch, softmax
+from scipy.special import logsumexp, poch, softmax
 
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.evidence import (
@@ -64,7 +64,7 @@ MIN_LOG_BAYES_FACTOR, MIN_LOG_ODDS = 5.0, -6.0
 MIN_ADDED_LOG_EVIDENCE, MIN_CRITERION_GAIN = 2.0, 1.0
 # Shares of the evidence of structure without a name, by the first word of an alternative's name.
 LARGE_KINDS = {"product": 0.25, "period": 0.125}
-UNKNOWN_WEIGHT = 4.0  # beforehand, that of each cause being 1: what nobody thought of is not rare
+UNKNOWN_WEIGHT = 4.0  # in the test's statistic, in which each cause has 1: what nobody thought of is not rare
 MIN_AHEAD = 1e-3  # nats, more than rounding
 MAX_ROW_SHARE = 0.4  # of an effect's prior variance in one row
 MIN_LEFT_SHARE = 0.5  # of a cause's shapes, that are in more rows
@@ -161,6 +161,13 @@ class Misfit:
     basis: csr_array | None = None
     failed: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     inconsistent: tuple[str, ...] = ()
+
+    @property
+    def statistic(self) -> float:
+        """That of these residuals as they are, in which none is cut off."""
+        evidence = self.log_evidence_by_cause
+        weight = [UNKNOWN_WEIGHT if cause == UNKNOWN else 1.0 for cause in evidence]
+        return float(logsumexp(list(evidence.values()), b=weight)) if evidence else -np.inf
 
     def critical_value(self, level: float) -> float:
         """Value of the statistic that noise alone exceeds with probability `level`."""
@@ -317,6 +324,7 @@ def compute_misfit(
     weight = weigh_hypotheses(hypotheses, causes)
     own = batch.log_evidence(linearized.residual[:, None])[:, 0]
     by_cause = average_by_cause(causes, weight, own)
+    weight += np.log([UNKNOWN_WEIGHT if cause == UNKNOWN else 1.0 for cause in causes])
     null, share = np.zeros(0), np.nan
     # In noise that persists, what changes at once and stays so is one row far out, whitened.
     bound = MAX_DEVIATION if linearized.noise_filter is None else np.inf
@@ -445,7 +453,7 @@ def weigh_hypotheses(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[st
     left = 1.0 - sum(large[kind] for kind in kinds if kind in large)
     share = {kind: large.get(kind, left / max(len(small), 1)) for kind in kinds}
     total = sum(share.values())  # less than 1 where there are none but large kinds
-    weights = [UNKNOWN_WEIGHT * share[one] / total if one in share else 1.0 for one in families]
+    weights = [share[one] / total if one in share else 1.0 for one in families]
     return np.log(weights) - np.array([sizes[family] for family in families])
 
 

@@ -114,7 +114,7 @@ def test_each_carrier_counts_alike_and_all_products_together_a_quarter():
     shapes = [Hypothesis(name, None, None, 2, (), np.ones(1), 1.0) for name in (*names, "drift", "drift")]
     weight = np.exp(weigh_hypotheses(shapes, [classify_cause(one) for one in shapes]))
     shares = pd.Series(weight).groupby([one.cause.split(" ")[0] for one in shapes]).sum()
-    expected = {"theta": 1.25, "q2,": 1.25, "product": 1.0, "period": 0.5}
+    expected = {"theta": 0.3125, "q2,": 0.3125, "product": 0.25, "period": 0.125}
     assert shares.to_dict() == pytest.approx(
         {f"unknown:{k}": v for k, v in expected.items()} | {"drift": 1.0}
     )
