@@ -25,10 +25,20 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._summary import Column, Table, numbers
 from stickslip_fit.causes.profile import AlongTravel
-from stickslip_fit.causes.proposed import ANGLES
+from stickslip_fit.causes.proposed import (
+    ANGLES,
+    LENGTH,
+    LOAD,
+    LOADS,
+    POSITION,
+    TRANSVERSE_LOAD,
+    ZETA,
+    carrier_values,
+)
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, closest_cause
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
+from stickslip_fit.diagnosis.smooth_alternatives import NODES, traverse_average
 from stickslip_fit.laws import state_at
 from stickslip_fit.logs.history import (
     DEPARTURES,
@@ -44,7 +54,7 @@ from stickslip_fit.logs.history import (
 )
 from stickslip_fit.logs.log import has_replicates
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, is_coordinate
-from stickslip_fit.machine import Machine, load_machine, mean_load
+from stickslip_fit.machine import Machine, load_machine
 from stickslip_fit.units import Z_95, from_si
 
 if TYPE_CHECKING:
@@ -52,11 +62,9 @@ if TYPE_CHECKING:
 
     from stickslip_fit.diagnosis import Diagnosis
 
-POSITION, LENGTH, ZETA, BEFORE_JOINT = "position", "own_length", "zeta", "before_joint"
-LOAD, TRANSVERSE_LOAD = "load", "transverse_load"
+BEFORE_JOINT = "before_joint"
 PERIOD_OF, SETTINGS_OF = "period of ", "settings of "  # with which some carriers begin
 MIN_EXPLAINED, MAX_EXPLAINING = 0.05, 5  # share of a structure; causes in the table
-N_ALONG = 101  # positions of a traverse, over which a load is averaged
 MIN_CLOSE = 0.1  # share of a structure that a cause explains, from which it is called close
 MIN_BENT = 0.1  # share of a structure that a cause explains only bent, from which that is told
 OPPOSITE = ", with opposite signs in the two directions"
@@ -416,17 +424,11 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
         return (
             f"{label} {format_position(abs(float(row['stop'] - row['start'])), int(row['joint']), machine)}"
         )
-    if name == LOAD:
-        ends = (float(row[end]) for end in ("start", "stop"))
-        angles = (np.array([row[name]], dtype=float) for name in ("q1", "q2", "theta", "psi"))
-        load = mean_load(int(row["joint"]), *(np.array([end]) for end in ends), *angles)
-        return f"{label} {_format_load(float(load[0]))}"
-    if name == TRANSVERSE_LOAD:
-        start, stop = (float(row[end]) for end in ("start", "stop"))
-        along = np.linspace(start, stop, N_ALONG)[None]
+    if name in LOADS:
+        start, stop = float(row["start"]), float(row["stop"])
         values = {column: np.array([row[column]]) for column in ("start", "stop", *ANGLES)}
-        load = state_at(int(row["joint"]), values, along).transverse_load
-        return f"{label} {_format_load(float(np.mean(load)))}"
+        along = state_at(int(row["joint"]), values, (start + stop) / 2 + (stop - start) / 2 * NODES[None])
+        return f"{label} {_format_load(float(traverse_average(carrier_values(along, name))[0]))}"
     if name == "before_direction":
         return f"{label} {format_direction(str(row[name])) or 'unknown'}"
     value, unit = float(row[name]), ""

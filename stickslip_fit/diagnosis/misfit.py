@@ -251,12 +251,13 @@ class Misfit:
         return places
 
     def n_shapes(self, cause: str) -> float:
-        """Number of shapes over which the evidence of a cause is averaged, at least 1.
+        """Number of shapes over which the statistic averages the evidence of a cause, at least 1.
 
         Those that are as likely as the best one, since they resemble it, count as one with it.
         """
         best = max((self.log_evidence[k] for k in self._places.get(cause, ())), default=-np.inf)
-        return float(np.exp(max(best - self.log_evidence_by_cause.get(cause, best), 0.0)))
+        weight = UNKNOWN_WEIGHT if cause == UNKNOWN else 1.0
+        return max(float(np.exp(best - self.log_evidence_by_cause.get(cause, best))) / weight, 1.0)
 
 
 def classify_cause(hypothesis: Hypothesis | AR1) -> str:

@@ -4,29 +4,12 @@ import numpy as np
 
 from tests.hidden.campaign import Campaign
 from tests.hidden.effect import Effect, Maker, sized
-from tests.hidden.effects.outside_history import ends
-from tests.hidden.effects.outside_state import of_both, of_column
+from tests.hidden.effects.outside_history import end_hours, ends, same_session
+from tests.hidden.effects.outside_state import of_both, of_column, z
 from tests.hidden.physics import DEG, FULL, L2, MM, STROKE, Array, Place, published_load
 
 Rng = np.random.Generator
 STEPS = 400.0  # how many steps may plausibly be lost or driven too far
-
-
-def z(c: Campaign, name: str) -> Array | None:
-    """A column in standard deviations from its mean; none where the lab has none or a constant."""
-    values = c.columns.get(name)
-    if values is None or not np.ptp(values):
-        return None
-    return np.asarray((values - values.mean()) / values.std())
-
-
-def end_hours(c: Campaign) -> Array:
-    return c.hours + c.counts * c.plan.step_period / 3600
-
-
-def same_session(c: Campaign, k: int) -> bool:
-    """Whether the log's traverse before k is of the same session."""
-    return bool(k and c.plan.session[k] == c.plan.session[k - 1])
 
 
 def positions(c: Campaign, end: bool) -> dict[str, Array]:

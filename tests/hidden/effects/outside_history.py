@@ -22,6 +22,16 @@ def ends(c: Campaign) -> tuple[Array, Array]:
     return np.where(forward, low, high), np.where(forward, high, low)
 
 
+def end_hours(c: Campaign) -> Array:
+    """When each traverse ended, hours in its session."""
+    return c.hours + c.counts * c.plan.step_period / 3600
+
+
+def same_session(c: Campaign, k: int) -> bool:
+    """Whether the log's traverse before k is of the same session."""
+    return bool(k and c.plan.session[k] == c.plan.session[k - 1])
+
+
 def _length_before(c: Campaign, rng: Rng) -> Array:
     """Logarithm of the length of the joint's traverse before; of a session's first, of the whole travel."""
     start, stop = ends(c)
@@ -44,8 +54,7 @@ def _by_reversals(c: Campaign, rng: Rng) -> Array:
 
 def _rest(c: Campaign, rng: Rng) -> Array:
     """How little a joint has settled since its traverse before: 1 at once, 0 at a session's first."""
-    end = c.hours + c.counts * c.plan.step_period / 3600
-    return np.exp(-(c.hours - c.previous(end, first=-np.inf)) / REST)
+    return np.exp(-(c.hours - c.previous(end_hours(c), first=-np.inf)) / REST)
 
 
 def _gap(c: Campaign, rng: Rng) -> Array:

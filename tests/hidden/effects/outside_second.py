@@ -4,7 +4,7 @@ import numpy as np
 
 from tests.hidden.campaign import Campaign
 from tests.hidden.effect import Effect, Maker, sized
-from tests.hidden.effects.outside_history import ends
+from tests.hidden.effects.outside_history import end_hours, ends
 from tests.hidden.effects.outside_state import of_both, of_column, of_place
 from tests.hidden.physics import DEG, MM, Array, Place
 
@@ -13,10 +13,6 @@ Rng = np.random.Generator
 
 def ones(c: Campaign, rng: Rng) -> Array:
     return np.ones(len(c))
-
-
-def end_hours(c: Campaign) -> Array:
-    return c.hours + c.counts * c.plan.step_period / 3600
 
 
 def triangle_q2(p: Place) -> Array:

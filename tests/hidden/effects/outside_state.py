@@ -20,6 +20,14 @@ def of_place(shape: Shape, *joints: int) -> Maker:
     return of_both(lambda c, rng: np.ones(len(c)), shape, *joints)
 
 
+def z(c: Campaign, name: str) -> Array | None:
+    """A column in standard deviations from its mean; none where the lab has none or a constant."""
+    values = c.columns.get(name)
+    if values is None or not np.ptp(values):
+        return None
+    return np.asarray((values - values.mean()) / values.std())
+
+
 def of_column(column: Column) -> Maker:
     """The step size times 1 + A column, a value for each traverse; none where the lab has no such column."""
     return of_both(column, lambda place: np.ones((1, 1)))

@@ -4,15 +4,11 @@ import numpy as np
 
 from tests.hidden.campaign import Campaign
 from tests.hidden.effect import Effect, Maker, sized
-from tests.hidden.effects.outside_history import ends
+from tests.hidden.effects.outside_history import end_hours, ends
 from tests.hidden.effects.outside_state import of_both, of_column, of_place
 from tests.hidden.physics import DEG, FULL, MM, Array, Place
 
 Rng = np.random.Generator
-
-
-def end_hours(c: Campaign) -> Array:
-    return c.hours + c.counts * c.plan.step_period / 3600
 
 
 def z(c: Campaign, name: str) -> Array:
