@@ -98,12 +98,18 @@ def _waves_by_load(linearized: LinearizedFit, sessions: Sequence[SessionFit]) ->
 
 
 def _waves_of_joints(linearized: LinearizedFit, sessions: Sequence[SessionFit]) -> Iterator[Hypothesis]:
-    """Waves of a single joint in its own travel, each session's its own."""
-    joint, most = linearized.rows["joint"].to_numpy(), float(linearized.rows["joint_travel"].max())
-    for number in map(int, np.unique(joint)):
-        on: Any = {"on": ((number, "+"), (number, "-"))}
-        inside = (joint == number).astype(float)
-        yield from _plain_waves(linearized, sessions, ("joint_travel",), ((0.0, most),), inside, **on)
+    """Waves of a single joint in time or in its own travel, each session's its own.
+
+    Among all joints its noise would be taken for large, in which a wave of all of them does not show.
+    """
+    joint = linearized.rows["joint"].to_numpy()
+    numbers = np.unique(joint).tolist()
+    for clock in ("session_seconds", "joint_travel") if len(numbers) > 1 else ("joint_travel",):
+        limits = ((0.0, float(linearized.rows[clock].max())),)
+        for number in numbers:
+            on: Any = {"on": ((number, "+"), (number, "-"))}
+            inside = (joint == number).astype(float)
+            yield from _plain_waves(linearized, sessions, (clock,), limits, inside, **on)
 
 
 def _plain_waves(

@@ -99,6 +99,12 @@ def pump_by_load(table):
     return 0.02 * np.nan_to_num(load) * np.sin(2.0 * np.pi * minutes / 17.3).to_numpy()
 
 
+def pump_of_one_joint(table):
+    """In all joints' traverses together it is no wave, and that joint's noise seems three times as large."""
+    minutes = (pd.to_datetime(table["time"]) - pd.to_datetime(table["time"]).min()).dt.total_seconds() / 60.0
+    return np.where(table["joint"] == 2, 0.012 * np.sin(2.0 * np.pi * minutes / 13.0), 0.0)
+
+
 def charge(table, minutes=12.0):
     """What one joint's steps in one direction put onto an amplifier that all joints share, and that leaks."""
     at, level, last, found = pd.to_datetime(table["time"]), {}, {}, np.zeros(len(table))
@@ -168,6 +174,13 @@ def test_a_wave_by_load_is_that_of_the_joint_that_has_it():
     assert (finding.joints, finding.version.n_slow, len(finding.version.orders)) == ((3,), 0, 2)
     text = " ".join(found.summary().headline)
     assert "Joint 3's steps come and go with a period of 17.3 min in proportion to the load" in text
+
+
+def test_a_wave_of_one_joint_is_found_in_what_seems_its_noise():
+    found = diagnose_with(pump_of_one_joint, "session", (2, 3))
+    (finding,) = found.findings
+    assert (finding.joints, finding.carrier) == ((2,), "period of 13.0 min, joint 2")
+    assert "minutes into a period of 13 min" in {axis.get_xlabel() for axis in found.plot().flat}
 
 
 def test_recent_use_is_told_as_warmth():
