@@ -35,10 +35,10 @@ from stickslip_fit.causes.proposed import (
     ZETA,
     carrier_values,
 )
+from stickslip_fit.diagnosis.carriers import NODES, traverse_average
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, closest_cause
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
-from stickslip_fit.diagnosis.smooth_alternatives import NODES, traverse_average
 from stickslip_fit.laws import state_at
 from stickslip_fit.logs.history import (
     DEPARTURES,

@@ -15,6 +15,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes.function_of_cause import FunctionOfCause
 from stickslip_fit.causes.kinds import FactorCause
 from stickslip_fit.causes.proposed import LOAD, SMOOTH_SCALE, JointTerm, PeriodicTerm, SmoothTerm
+from stickslip_fit.diagnosis.carriers import find_load, traverse_average
 from stickslip_fit.diagnosis.hypotheses import (
     Hypothesis,
     SessionFit,
@@ -24,11 +25,7 @@ from stickslip_fit.diagnosis.hypotheses import (
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1, memory_alternatives
-from stickslip_fit.diagnosis.smooth_alternatives import (
-    build_smooth_alternatives,
-    find_load,
-    traverse_average,
-)
+from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
 from stickslip_fit.logs.log import number_configurations
 from stickslip_fit.logs.schema import has_times
 from stickslip_fit.units import PRISMATIC

@@ -19,11 +19,11 @@ import numpy as np
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import Mode, NestedTerm, SmoothTerm
 from stickslip_fit.causes.smooth import MIN_PRIOR_SD, prior_sds
+from stickslip_fit.diagnosis.carriers import BEYOND
+from stickslip_fit.diagnosis.carriers import LENGTHS as CARRIER_LENGTHS
 from stickslip_fit.diagnosis.evidence import find_strength
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, VARIANCE_TOL, compute_effects
 from stickslip_fit.diagnosis.linearized import LinearizedFit, split_positions
-from stickslip_fit.diagnosis.smooth_alternatives import BEYOND
-from stickslip_fit.diagnosis.smooth_alternatives import LENGTHS as CARRIER_LENGTHS
 
 # Of a travel, as shares of the range of its cosines, which is wider.
 LENGTHS = tuple(length / (1.0 + 2.0 * BEYOND) for length in (0.5, 0.25, 0.1, 0.05, 0.03))

@@ -27,6 +27,7 @@ CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between t
 CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next, before these are refitted
 CLEAR_PAIR_SHARE = 0.1  # the same to a combination of causes, which is refitted
 CLEAR_REFIT = 1.0  # nats between the best cause and the next, both refitted
+MAX_GAINED = 8.0  # nats by which a hypothesis may come nearer to a decision by the loss of a few rows
 MIN_EVIDENCE_SHARE = 0.5  # of the evidence in all rows; with less, a few rows may bear it
 
 
@@ -45,9 +46,11 @@ class Looks:
     def __init__(self, selection: Selection, alpha: float) -> None:
         self.selection, self.level = selection, allocate_alpha(alpha)
         looks: dict[int, Look] = {}
+        named = {one.cause for one in selection.law_causes if one.cause != UNKNOWN}
 
         def look(misfit: Misfit) -> Look:
-            return looks.setdefault(id(misfit), Look(misfit))
+            decisive = np.fmax(MIN_EVIDENCE_SHARE * misfit.statistic, misfit.critical_value(self.level))
+            return looks.setdefault(id(misfit), Look(misfit, float(decisive) - MAX_GAINED, named))
 
         causes = [(one.misfit, one.naming or one.misfit) for one in selection.law_causes]
         self.revised = [look(misfit) for misfit, _ in causes if misfit is not None]

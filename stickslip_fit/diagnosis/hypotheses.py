@@ -20,6 +20,7 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.sparse import csr_array
 
+from stickslip_fit._linalg import eigh
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, select_filter, split_positions, whiten
 
@@ -306,7 +307,7 @@ def build_per_session_hypotheses(
             along = own @ shared[rows]
             products -= along @ along.transpose(0, 2, 1)
         try:
-            variance, right = np.linalg.eigh(products)
+            variance, right = eigh(products)
         except np.linalg.LinAlgError:  # of one of them: all are left out
             return []
         scaled = right / np.sqrt(np.maximum(variance, EFFECT_TOL**2))[:, None, :]

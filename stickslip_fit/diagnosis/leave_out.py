@@ -8,7 +8,7 @@ are linearized about their fit to all rows, whose noise is kept: both are errors
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,8 +17,8 @@ from scipy.sparse import coo_array, csc_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.special import logsumexp
 
-from stickslip_fit._linalg import svd
-from stickslip_fit._typing import Array, IntArray
+from stickslip_fit._linalg import eigh, svd
+from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.evidence import STRENGTHS, log_likelihood_ratio
 from stickslip_fit.diagnosis.extension import SelectedCause, make_selected
@@ -226,31 +226,24 @@ def _spectra(
     each = [one.reshape(len(one), one.shape[1] // w, w).transpose(1, 2, 0) for one in coordinates]
     gram = np.eye(w) - np.concatenate([one @ one.transpose(0, 2, 1) for one in each])
     scaled = root_share[:, :, None] * gram * root_share[:, None, :]
-    variance, right = _solve_eigenproblems(scaled)
+    variance, right = eigh(scaled)
     coefficients = np.einsum("kwv,kw->kv", right, root_share * own)
     kept = variance > VARIANCE_TOL * np.sum(root_share**2, axis=1, keepdims=True)
     squares = coefficients**2 / np.where(kept, variance, np.inf)
     return np.repeat(owner, w), np.where(kept, variance, 0.0), squares
 
 
-def _solve_eigenproblems(matrices: Array) -> tuple[Array, Array]:
-    """As `np.linalg.eigh` of symmetric matrices, shape (k, w, w); of two rows in closed form, much faster."""
-    if matrices.shape[1] != 2 or not np.isfinite(matrices).all():
-        return np.linalg.eigh(matrices)
-    first, both, second = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
-    middle, spread = (first + second) / 2, np.hypot((first - second) / 2, both)
-    angle = np.arctan2(both, (first - second) / 2) / 2
-    cosine, sine = np.cos(angle), np.sin(angle)
-    vectors = np.stack([-sine, cosine, cosine, sine], axis=1).reshape(-1, 2, 2)
-    return np.stack([middle - spread, middle + spread], axis=1), vectors
-
-
 class Look:
-    """A misfit test, and its evidence without some rows."""
+    """A misfit test, and its evidence without some rows.
 
-    def __init__(self, misfit: Misfit) -> None:
+    Hypotheses with log odds below `least`, of other causes than some `named` ones, keep those of all rows:
+    they are too far behind to matter, and nearly all are.
+    """
+
+    def __init__(self, misfit: Misfit, least: float = -np.inf, named: Collection[str] = ()) -> None:
         assert misfit.basis is not None
         self.misfit, self.basis = misfit, misfit.basis
+        self._least, self._named = least, named
         self._left_out: dict[bytes, LeftOut] = {}
         self._known_effects: dict[int, Array] = {}
 
@@ -260,7 +253,8 @@ class Look:
         n = len(self.misfit.residual)
         rows_of: dict[bytes, IntArray] = {}
         blocks_of: dict[bytes, dict[int, list[tuple[Array, Array, int, float]]]] = {}
-        for number, one in enumerate(self.misfit.hypotheses):
+        for number in np.flatnonzero(self._matters).tolist():
+            one = self.misfit.hypotheses[number]
             if isinstance(one, AR1):
                 continue
             first, least = 0, 0.0 if one.one_sided else -np.inf
@@ -314,6 +308,13 @@ class Look:
         return weigh_hypotheses(self.misfit.hypotheses, self._causes)
 
     @cached_property
+    def _matters(self) -> BoolArray:
+        """Which hypotheses are tested anew without some rows, shape (H,)."""
+        gained = np.array([self.refit_gain.get(cause, 0.0) for cause in self._causes])
+        named = np.array([cause in self._named for cause in self._causes], dtype=bool)
+        return named | (self.misfit.log_evidence + self._log_weight + gained >= self._least)
+
+    @cached_property
     def refit_gain(self) -> dict[str, float]:
         """What refits have added to the evidence of each cause that was not dropped, in nats."""
         linear = average_by_cause(self._causes, self._log_weight, self.misfit.log_evidence)
@@ -348,6 +349,7 @@ class Look:
             spread = np.bincount(owner, np.log1p(signal), number)
             at_strength.append(log_likelihood_ratio(np.maximum(explained, 0.0), df) - 0.5 * spread)
         evidence = logsumexp(np.stack(at_strength), axis=0) - np.log(len(STRENGTHS))
+        evidence = np.where(self._matters, evidence, self.misfit.log_evidence)
         left = left_out.remove(residual[:, None], self.basis)[:, 0]
         evidence = self._with_memory(evidence, rows, left, df)
         share = (len(residual) - len(rows)) / len(residual)
@@ -358,7 +360,8 @@ class Look:
     def _with_memory(self, evidence: Array, rows: IntArray, left: Array, df: int) -> Array:
         """The evidence with that of each AR(1), whose sequences go on after the rows left out."""
         kept = np.setdiff1d(np.arange(len(left)), rows)
-        ar1s = {k: one for k, one in enumerate(self.misfit.hypotheses) if isinstance(one, AR1)}
+        tested = ((k, self.misfit.hypotheses[k]) for k in np.flatnonzero(self._matters).tolist())
+        ar1s = {k: one for k, one in tested if isinstance(one, AR1)}
         smaller = leave_out_rows((one.sequences for one in ar1s.values()), rows)
         others = [replace(one, sequences=smaller[id(one.sequences)]) for one in ar1s.values()]
         for number, own in zip(ar1s, log_memory_evidence(others, left[kept, None], df), strict=True):

@@ -8,18 +8,16 @@ stored for their rows only, and what is independent for each joint and direction
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import combinations
+from itertools import batched, combinations
 
 import numpy as np
-import pandas as pd
 
+from stickslip_fit._linalg import eigh
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import (
     ANGLES,
-    BEFORE_DIRECTION,
     LENGTH,
     LOAD,
     LOADS,
@@ -29,9 +27,18 @@ from stickslip_fit.causes.proposed import (
     ZETA,
     SmoothTerm,
     TravelTerm,
-    carrier_values,
 )
-from stickslip_fit.causes.smooth import cosine_sequence, cosines, prior_sds
+from stickslip_fit.causes.smooth import prior_sds
+from stickslip_fit.diagnosis.carriers import (
+    BEYOND,
+    FURTHER_OF_TRAVERSE,
+    HISTORY,
+    LENGTHS,
+    Carrier,
+    find_carriers,
+    of_each_joint,
+    traverse_average,
+)
 from stickslip_fit.diagnosis.hypotheses import (
     EFFECT_TOL,
     MAX_COUPLED_SESSIONS,
@@ -40,15 +47,9 @@ from stickslip_fit.diagnosis.hypotheses import (
     make_hypothesis,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.laws import State, state_at
 from stickslip_fit.logs.history import FURTHER_HISTORY, JOINT_NET_USE, LATE_TEMPERATURE, NET_USE
-from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, position_columns
+from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
 
-LENGTHS = (0.25, 0.1)  # correlation lengths, of the carrier's range
-BEYOND = 0.15  # of a range of positions, by which that of its functions is wider on either side
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)  # of a carrier along a traverse
-HISTORY = ("session_seconds", "steps_before", "before_load", BEFORE_DIRECTION)
-FURTHER_OF_TRAVERSE = tuple(name for name in FURTHER_HISTORY if name != "session_order")
 # With which a load or a column of the log may count more or less.
 ALONE = ("before_joint", *NET_USE, *JOINT_NET_USE, *LATE_TEMPERATURE)
 WITH_PRODUCTS = tuple(name for name in FURTHER_OF_TRAVERSE if name not in ALONE)
@@ -56,127 +57,12 @@ MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below wh
 MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out
 MAX_LOST = 0.1  # of the square of several parts, up to which each may lose its own share by itself
 COMMON = 0.8  # of the variance of functions of sessions, where they have one in common
-# Correlation, above which a late temperature would only stand beside that of the room as its rival.
-MAX_LIKE_ROOM = 0.95
-SOME_VALUES = 1000  # of a carrier, among which distinct ones are counted first
 MIN_LENGTHS = 4  # distinct ones of a joint's traverses, of which a function is looked for
-MAX_NESTED = 240  # coefficients of such functions
+MAX_NESTED = 240  # coefficients of functions around a common one
+AT_ONCE = 128  # columns of functions, whose effects then stay in the processor's memory
+SIGNS = {"+": 1.0, "-": -1.0}
 # Orders of products, and of a coordinate with which a load may count.
 LOWEST, LOW, LOAD_ORDERS = ((1, 1),), ((1, 1), (1, 2), (2, 1), (2, 2)), 4
-# Distinct values of a carrier with which it has all functions.
-ENOUGH_DISTINCT = 2 + len(prior_sds(min(LENGTHS) / (1.0 + 2.0 * BEYOND)))
-
-
-@dataclass(frozen=True, eq=False)
-class Carrier:
-    """A variable along the traverses of a log.
-
-    Attributes
-    ----------
-    values : array, shape (n, k) or (n, 1)
-        NaN where it is unknown.
-    low, high : float
-        Its range.
-    distinct : int
-        Number of distinct values; where there are `ENOUGH_DISTINCT`, of a part of them.
-    """
-
-    name: str
-    values: Array
-    low: float
-    high: float
-    distinct: int
-
-    def waves(self, number: int) -> Array:
-        """Cosines over the range, averaged along each traverse, shape (n, number); 0 where it is unknown."""
-        waves, known = np.empty((len(self.values), number)), np.isfinite(self.values)
-        values = np.where(known, self.values, self.low)
-        for k, cosine in enumerate(cosine_sequence(values, self.low, self.high, number)):
-            waves[:, k] = traverse_average(cosine * known)
-        return waves
-
-    def wave(self, order: int) -> Array:
-        """A cosine along each traverse, shape (n, k) or (n, 1); 0 where it is unknown."""
-        if order not in self._waves:
-            self._waves[order] = np.nan_to_num(cosines(self.values, self.low, self.high, order)[..., -1])
-        return self._waves[order]
-
-    @cached_property
-    def _waves(self) -> dict[int, Array]:
-        return {}
-
-
-def traverse_average(values: Array) -> Array:
-    """A function averaged along each traverse, (n, k) or (n, 1) -> (n,)."""
-    return values[:, 0] if values.shape[1] == 1 else values @ (WEIGHTS / 2)
-
-
-def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
-    """The coordinates, history and columns that vary in some rows of a log."""
-    rows = linearized.rows
-    own = [str(name) for name in rows.columns if str(name).startswith(COVARIATE_PREFIX)]
-    columns = [name for name in (*CONDITIONS, *own) if name in rows]
-    history = [name for name in HISTORY if name in rows and rows[name].notna().all()]
-    history += [name for name in FURTHER_OF_TRAVERSE if name in rows and rows[name].notna().any()]
-    history = [name for name in history if name not in LATE_TEMPERATURE or _is_late(rows, name)]
-    # Where one joint moves, what it did is what all did: of columns that are the same one is enough.
-    history = list({rows[name].to_numpy().tobytes(): name for name in reversed(history)}.values())[::-1]
-    # A machine without the published geometry has no gravity load.
-    load = LOADS if rows["before_load"].notna().any() else ()
-    # Where one of the two angles never changes, zeta is the other one.
-    zeta = (ZETA,) if load and rows["psi"].nunique() > 1 and rows["q2"].nunique() > 1 else ()
-    coordinates = (*ANGLES, *zeta, *position_columns(rows), *load, POSITION, LENGTH)
-    names = dict.fromkeys((*coordinates, *columns, *history))
-    states = list(_states_along(linearized))
-    carriers = (_make_carrier(name, _along_traverses(len(rows), states, name)) for name in names)
-    return [carrier for carrier in carriers if carrier is not None]
-
-
-def find_load(linearized: LinearizedFit) -> Carrier | None:
-    """The load along the traverses of a log; None where there is none."""
-    if linearized.rows["before_load"].isna().all():
-        return None
-    states = list(_states_along(linearized))
-    return _make_carrier(LOAD, _along_traverses(len(linearized), states, LOAD))
-
-
-def _states_along(linearized: LinearizedFit) -> Iterator[tuple[IntArray, State]]:
-    """The machine along the traverses of each joint, with their rows."""
-    for part, table in zip(linearized.parts, linearized.tables, strict=True):
-        joint = getattr(part.law, "joint", None)
-        if joint is not None:
-            start, stop = (np.asarray(table[end], dtype=float)[:, None] for end in ("start", "stop"))
-            yield part.rows, state_at(joint, table, (start + stop) / 2 + (stop - start) / 2 * NODES)
-
-
-def _along_traverses(n: int, states: Sequence[tuple[IntArray, State]], name: str) -> Array:
-    """A carrier along n traverses, shape (n, k) or (n, 1); NaN where it is unknown."""
-    known = [(places, carrier_values(state, name)) for places, state in states]
-    values = np.full((n, max((each.shape[1] for _, each in known), default=1)), np.nan)
-    for places, each in known:
-        values[places] = each
-    return values
-
-
-def _is_late(rows: pd.DataFrame, name: str) -> bool:
-    """Whether the temperature that follows late is clearly another than that of the room, in its sessions."""
-    session = rows["session"].astype(object)
-    both = [rows[one] - rows[one].groupby(session).transform("mean") for one in ("temperature", name)]
-    return bool(abs(both[0].corr(both[1])) < MAX_LIKE_ROOM)
-
-
-def _make_carrier(name: str, values: Array) -> Carrier | None:
-    known = values[np.isfinite(values)]
-    if not len(known):
-        return None
-    low, high = float(known.min()), float(known.max())
-    if not high - low > 1e-9 * max(abs(low), abs(high)):
-        return None
-    along = np.ptp(values[np.isfinite(values).all(axis=1)], axis=1).max(initial=0.0) > 0
-    distinct = len(np.unique(known[:: len(known) // SOME_VALUES + 1].round(9)))
-    if distinct < ENOUGH_DISTINCT:
-        distinct = len(np.unique(known.round(9)))
-    return Carrier(name, values if along else values[:, :1], low, high, distinct)
 
 
 def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
@@ -191,7 +77,7 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
             for length in _lengths(carrier)
         ),
     ]
-    of_joints = list(_of_each_joint(linearized, carriers, POSITION))
+    of_joints = list(of_each_joint(linearized, carriers, POSITION))
     travel = tuple((joint, carrier.low, carrier.high) for joint, carrier in of_joints)
     scaled = [_as_share(carrier, of_joints) if carrier.name == POSITION else carrier for carrier in carriers]
     products = [
@@ -200,30 +86,30 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         for orders in _interactions(one.name, other.name)
     ]
     profiles = [
-        (place, joint, *_smooth_functions(carrier, length))
+        (place, joint, (POSITION, *_smooth_functions(carrier, length)))
         for joint, carrier in of_joints
         for place, length in enumerate(_lengths(carrier))
     ]
     builder = _Builder(linearized)
     hypotheses: list[Hypothesis] = []
-    for name, term, functions in shapes:
-        effects = builder.effects(functions)
-        hypotheses += builder.shapes(name, term, effects) if name != LOAD else []
-        hypotheses += builder.by_session(name, term, effects) if name in (*ANGLES, LOAD) else []
-    for name, term, functions in products:
-        own = {*WITH_PRODUCTS} & {*term.carriers}
-        hypotheses += (builder.broad if own else builder.shapes)(name, term, builder.effects(functions))
-    for joint, carrier in _of_each_joint(linearized, carriers, LENGTH):
+    for one in builder.effects_of(one for one in shapes if one[0] != LOAD):
+        hypotheses += builder.shapes(one)
+    for one in builder.effects_of(one for one in shapes if one[0] in (*ANGLES, LOAD)):
+        hypotheses += builder.by_session(one)
+    for one in builder.effects_of(products):
+        hypotheses += (builder.broad if {*WITH_PRODUCTS} & {*one.term.carriers} else builder.shapes)(one)
+    for joint, carrier in of_each_joint(linearized, carriers, LENGTH):
         # Of few lengths any function is as good as the few steps that a late stop adds to each count.
         if carrier.distinct >= MIN_LENGTHS:
-            for length in _lengths(carrier):
-                term, functions = _smooth_functions(carrier, length)
-                hypotheses += builder.of_joint(joint, LENGTH, term, builder.effects(functions))[0]
+            own = [(LENGTH, *_smooth_functions(carrier, length)) for length in _lengths(carrier)]
+            for one in builder.effects_of(own):
+                hypotheses += builder.of_joint(joint, one)[0]
     by_shape: dict[tuple[int, str], list[Hypothesis]] = {}
-    for place, joint, term, functions in profiles:
-        for ending, one in builder.profiles(joint, term, builder.effects(functions)).items():
-            hypotheses.append(one)
-            by_shape.setdefault((place, ending), []).append(one)
+    for place, joint, profile in profiles:
+        for effects in builder.effects_of([profile]):
+            for ending, found in builder.profiles(joint, effects).items():
+                hypotheses.append(found)
+                by_shape.setdefault((place, ending), []).append(found)
     together = (_join_profiles(ending, ones) for (_, ending), ones in by_shape.items() if len(ones) > 1)
     return [*hypotheses, *(one for one in together if one is not None)]
 
@@ -247,18 +133,6 @@ def _join_profiles(ending: str, profiles: Sequence[Hypothesis]) -> Hypothesis | 
         length=float(np.sqrt(sum(one.length**2 for one in profiles))),
         shared=next((one.shared for one in profiles if one.shared is not None), None),
     )
-
-
-def _of_each_joint(
-    linearized: LinearizedFit, carriers: Sequence[Carrier], name: str
-) -> Iterator[tuple[int, Carrier]]:
-    """The position of each joint or the length of its traverses, over its own range."""
-    joint = linearized.rows["joint"].to_numpy()
-    for carrier in carriers:
-        for number in map(int, np.unique(joint)) if carrier.name == name else ():
-            own = np.where((joint == number)[:, None], carrier.values, np.nan)
-            if (of_joint := _make_carrier(name, own)) is not None:
-                yield number, of_joint
 
 
 def _lengths(carrier: Carrier) -> tuple[float, ...]:
@@ -352,26 +226,63 @@ class _Subspace:
     variance: Array
     lost: float = 0.0
 
-    @classmethod
-    def of(
-        cls, rows: IntArray | slice, effects: Array, products: Array, least: float, lost: float = 0.0
-    ) -> _Subspace | None:
-        """Of effects in some rows, (s, m), by their products; None where these come to less than `least`."""
-        variance, right = (products[0], np.ones((1, 1))) if len(products) == 1 else np.linalg.eigh(products)
-        total = float(variance.sum())
-        if total < least:
-            return None
-        kept = variance > MIN_VARIANCE * total
-        return cls(rows, effects @ (right[:, kept] / np.sqrt(variance[kept])), variance[kept], lost)
+
+def _orthonormalize(
+    rows: IntArray | slice, effects: Array, products: Array, least: Array, lost: Array
+) -> list[_Subspace | None]:
+    """The subspaces of P times m effects in s rows, (P, m, s), by their products; None of too small ones.
+
+    `least` and `lost`, shape (P,), are the least sum of squares, and what `_Subspace` has.
+    """
+    variance, right = eigh(products)
+    total = variance.sum(axis=1)
+    kept = variance > MIN_VARIANCE * np.maximum(total, EFFECT_TOL**2)[:, None]
+    scaled = right / np.sqrt(np.where(kept, variance, np.inf))[:, None, :]
+    directions, whole = scaled.transpose(0, 2, 1) @ effects, kept.all(axis=1)
+    return [
+        _Subspace(rows, (own if whole[k] else own[kept[k]]).T, variance[k][kept[k]], float(lost[k]))
+        if total[k] >= least[k]
+        else None
+        for k, own in enumerate(directions)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Whitened effects of P functions, shape (n, P, m), and what each block's own calibration leaves of them.
+
+    Attributes
+    ----------
+    whitened, own : array, shape (n, P, m)
+    known : dict
+        Subspaces of all functions, by group of rows and whether they are opposite by direction.
+    """
+
+    whitened: Array
+    own: Array
+    known: dict[tuple[_Group, bool], list[_Subspace | None]]
 
 
 @dataclass(frozen=True, eq=False)
 class _Effects:
-    """Whitened effects, shape (n, m), what each block's own calibration leaves, and each row's square."""
+    """The effects of one function of a batch."""
 
-    whitened: Array
-    own: Array
-    squares: Array
+    name: str
+    term: SmoothTerm
+    batch: _Batch
+    place: int
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Rows of a joint, a direction or a session; of all where these are None."""
+
+    joint: int | None = None
+    direction: str | None = None
+    session: str | None = None
+
+
+EVERY_ROW = _Group()
 
 
 class _Builder:
@@ -381,26 +292,49 @@ class _Builder:
         self.linearized = linearized
         self.shared_basis = linearized.shared_basis
         self.sign = linearized.direction_sign
-        joint = linearized.rows["joint"].to_numpy()
-        self.rows_of = {int(number): np.flatnonzero(joint == number) for number in np.unique(joint)}
+        self.joint = linearized.rows["joint"].to_numpy()
+        self.joints = [int(number) for number in np.unique(self.joint)]
         session = linearized.rows["session"].astype(object).to_numpy()
         self.session_of = {str(name): session == name for name in dict.fromkeys(session)}
+        self._rows: dict[_Group, IntArray | slice] = {EVERY_ROW: slice(None)}
 
-    def effects(self, functions: Array) -> _Effects:
-        """Of functions, shape (n, m)."""
-        whitened = functions / self.linearized.scale[:, None]
-        return _Effects(whitened, self.linearized.project_own(whitened), np.sum(whitened**2, axis=1))
+    def rows_of(self, group: _Group) -> IntArray | slice:
+        """The rows of a group, one and the same array each time."""
+        if group not in self._rows:
+            inside = np.ones(len(self.sign), dtype=bool)
+            if group.joint is not None:
+                inside &= self.joint == group.joint
+            if group.direction is not None:
+                inside &= self.sign == SIGNS[group.direction]
+            if group.session is not None:
+                inside &= self.session_of[group.session]
+            self._rows[group] = np.flatnonzero(inside)
+        return self._rows[group]
 
-    def shapes(self, name: str, term: SmoothTerm, effects: _Effects) -> list[Hypothesis]:
+    def effects_of(self, functions: Iterable[tuple[str, SmoothTerm, Array]]) -> Iterator[_Effects]:
+        """Of functions, with their names and terms, shape (n, m) each: equally many columns in one batch."""
+        alike: dict[int, list[tuple[str, SmoothTerm, Array]]] = {}
+        for one in functions:
+            alike.setdefault(one[2].shape[1], []).append(one)
+        for width, ones in alike.items():
+            for some in batched(ones, max(AT_ONCE // width, 1)):
+                whitened = np.concatenate([one[2] for one in some], axis=1) / self.linearized.scale[:, None]
+                shape = len(whitened), len(some), width
+                own = self.linearized.project_own(whitened).reshape(shape)
+                batch = _Batch(whitened.reshape(shape), own, {})
+                for place, (name, term, _) in enumerate(some):
+                    yield _Effects(name, term, batch, place)
+
+    def shapes(self, effects: _Effects) -> list[Hypothesis]:
         """The ways in which joints and directions may share some functions."""
-        found = self.of_all(name, term, effects)
-        for direction, sign in (("+", 1.0), ("-", -1.0)):
-            on = tuple((joint, direction) for joint in self.rows_of)
-            one_way = self.subspace(effects, None, np.flatnonzero(self.sign == sign))
+        name, term, found = effects.name, effects.term, self.of_all(effects)
+        for direction in SIGNS:
+            on = tuple((joint, direction) for joint in self.joints)
+            one_way = self.subspace(effects, _Group(direction=direction))
             found.append(self.make(f"{name}, {direction} only", replace(term, on=on), [one_way]))
         groups: dict[tuple[int, str], _Subspace] = {}
-        for joint in self.rows_of:
-            ways, own = self.of_joint(joint, name, term, effects)
+        for joint in self.joints:
+            ways, own = self.of_joint(joint, effects)
             found += ways
             groups |= own
         if len(groups) > 1:
@@ -408,33 +342,35 @@ class _Builder:
             found.append(self.make(f"{name}, each joint and direction", each, list(groups.values())))
         return [one for one in found if one is not None]
 
-    def broad(self, name: str, term: SmoothTerm, effects: _Effects) -> list[Hypothesis]:
+    def broad(self, effects: _Effects) -> list[Hypothesis]:
         """As `shapes`, without those of one direction."""
-        found = self.of_all(name, term, effects)
-        for joint, rows in self.rows_of.items() if len(self.rows_of) > 1 else ():
-            on = replace(term, on=((joint, "+"), (joint, "-")))
-            found.append(self.make(f"{name}, joint {joint}", on, [self.subspace(effects, None, rows)]))
+        found = self.of_all(effects)
+        for joint in self.joints if len(self.joints) > 1 else ():
+            on = replace(effects.term, on=((joint, "+"), (joint, "-")))
+            own = self.subspace(effects, _Group(joint))
+            found.append(self.make(f"{effects.name}, joint {joint}", on, [own]))
         return [one for one in found if one is not None]
 
-    def of_all(self, name: str, term: SmoothTerm, effects: _Effects) -> list[Hypothesis | None]:
+    def of_all(self, effects: _Effects) -> list[Hypothesis | None]:
         """Functions of all joints, opposite by direction and alike."""
-        opposite, whole = replace(term, mode="opposite"), self.subspace(effects)
+        name, term, whole = effects.name, effects.term, self.subspace(effects, EVERY_ROW)
+        opposite = replace(term, mode="opposite")
         turned = (
             self.make(f"{name}, opposite", opposite, [whole], self.sign)
             if self.linearized.allows_opposite
-            else self.make(f"{name}, opposite", opposite, [self.subspace(effects, self.sign)])
+            else self.make(f"{name}, opposite", opposite, [self.subspace(effects, EVERY_ROW, opposite=True)])
         )
         return [turned, self.make(name, term, [whole])]
 
     def of_joint(
-        self, joint: int, name: str, term: SmoothTerm, effects: _Effects
+        self, joint: int, effects: _Effects
     ) -> tuple[list[Hypothesis], dict[tuple[int, str], _Subspace]]:
         """The same of one joint, in both directions and in each; the latter also by themselves."""
-        rows, both, label = self.rows_of[joint], ((joint, "+"), (joint, "-")), f"{name}, joint {joint}"
-        found = [self.make(label, replace(term, on=both), [self.subspace(effects, None, rows)])]
+        label, term, both = f"{effects.name}, joint {joint}", effects.term, ((joint, "+"), (joint, "-"))
+        found = [self.make(label, replace(term, on=both), [self.subspace(effects, _Group(joint))])]
         own = {}
-        for group, sign in zip(both, (1.0, -1.0), strict=True):
-            way = self.subspace(effects, None, rows[self.sign[rows] == sign])
+        for group in both:
+            way = self.subspace(effects, _Group(*group))
             found.append(self.make(f"{label} {group[1]}", replace(term, on=(group,)), [way]))
             if way is not None:
                 own[group] = way
@@ -443,85 +379,97 @@ class _Builder:
             found.append(self.make(f"{label}, each direction", each, list(own.values())))
         return [one for one in found if one is not None], own
 
-    def by_session(self, name: str, term: SmoothTerm, effects: _Effects) -> list[Hypothesis]:
+    def by_session(self, effects: _Effects) -> list[Hypothesis]:
         """Functions that differ from session to session, by joint."""
         found = []
-        for joint, rows in self.rows_of.items() if len(self.session_of) > 1 else ():
-            version, parts = self.of_sessions(
-                effects, None, [rows], replace(term, on=((joint, "+"), (joint, "-")))
-            )
-            found.append(self.make(f"{name}, joint {joint}, in each session", version, parts))
+        for joint in self.joints if len(self.session_of) > 1 else ():
+            on = replace(effects.term, on=((joint, "+"), (joint, "-")))
+            version, parts = self.of_sessions(effects, [_Group(joint)], on)
+            found.append(self.make(f"{effects.name}, joint {joint}, in each session", version, parts))
         return [one for one in found if one is not None]
 
-    def profiles(self, joint: int, term: SmoothTerm, effects: _Effects) -> dict[str, Hypothesis]:
+    def profiles(self, joint: int, effects: _Effects) -> dict[str, Hypothesis]:
         """The same of a joint's position, by direction, too, and around what the sessions have in common.
 
         By the end of their names.
         """
         found: dict[str, Hypothesis | None] = {}
-        rows, label = self.rows_of[joint], f"{POSITION}, joint {joint}, in each session"
+        label, term = f"{POSITION}, joint {joint}, in each session", effects.term
         if len(self.session_of) > 1:
-            on = ((joint, "+"), (joint, "-"))
-            ways = [rows[self.sign[rows] > 0], rows[self.sign[rows] < 0]]
-            for ending, whole, groups, sign in (
-                ("", replace(term, on=on), [rows], None),
-                (", opposite", replace(term, on=on, mode="opposite"), [rows], self.sign),
-                (", each direction", replace(term, on=on, each=True), ways, None),
+            on, whole = ((joint, "+"), (joint, "-")), [_Group(joint)]
+            ways = [_Group(joint, direction) for direction in SIGNS]
+            for ending, own, groups in (
+                ("", replace(term, on=on), whole),
+                (", opposite", replace(term, on=on, mode="opposite"), whole),
+                (", each direction", replace(term, on=on, each=True), ways),
             ):
-                version, parts = self.of_sessions(effects, sign, groups, whole)
+                version, parts = self.of_sessions(effects, groups, own)
                 found[ending] = self.make(label + ending, version, parts)
-                if nested := self.nested(effects, sign, groups, version):
+                if nested := self.nested(effects, groups, version):
                     found[f"{ending}, in part"] = self.make(f"{label}{ending}, in part", *nested)
         return {ending: one for ending, one in found.items() if one is not None}
 
     def of_sessions(
-        self, effects: _Effects, sign: Array | None, groups: Sequence[IntArray], term: SmoothTerm
+        self, effects: _Effects, groups: Sequence[_Group], term: SmoothTerm
     ) -> tuple[SmoothTerm, list[_Subspace | None]]:
         """A term with functions of each session, and their effects in some groups of rows."""
         own = {
-            session: [self.subspace(effects, sign, group[inside[group]]) for group in groups]
-            for session, inside in self.session_of.items()
+            session: [
+                self.subspace(effects, replace(group, session=session), opposite=term.mode == "opposite")
+                for group in groups
+            ]
+            for session in self.session_of
         }
         own = {session: parts for session, parts in own.items() if any(parts)}
         return replace(term, sessions=tuple(own)), [part for parts in own.values() for part in parts]
 
     def nested(
-        self, effects: _Effects, sign: Array | None, groups: Sequence[IntArray], version: SmoothTerm
-    ) -> tuple[SmoothTerm, list[_Subspace]] | None:
+        self, effects: _Effects, groups: Sequence[_Group], version: SmoothTerm
+    ) -> tuple[SmoothTerm, list[_Subspace | None]] | None:
         """Functions of sessions around one that they have in common; None where there are too many."""
-        number = len(groups) * effects.own.shape[1] * (1 + len(version.sessions))
+        whitened = effects.batch.whitened[:, effects.place]
+        number = len(groups) * whitened.shape[1] * (1 + len(version.sessions))
         if not version.sessions or number > MAX_NESTED:
             return None
         columns = []
         for group in groups:
-            common = np.zeros_like(effects.whitened)
-            common[group] = effects.whitened[group] * (1.0 if sign is None else sign[group, None])
+            common, rows = np.zeros_like(whitened), self.rows_of(group)
+            common[rows] = whitened[rows]
+            common *= self.sign[:, None] if version.mode == "opposite" else 1.0
             own = [common * self.session_of[name][:, None] for name in version.sessions]
             columns += [np.sqrt(COMMON) * common, *(np.sqrt(1.0 - COMMON) * one for one in own)]
         projected = self.linearized.project(np.concatenate(columns, axis=1))
         rows = find_rows(projected)
-        projected = projected[rows]
-        found = _Subspace.of(rows, projected, projected.T @ projected, EFFECT_TOL**2)
-        return (replace(version, common=COMMON), [found]) if found else None
+        across = projected[rows].T[None]
+        products = across @ across.transpose(0, 2, 1)
+        found = _orthonormalize(rows, across, products, np.array([EFFECT_TOL**2]), np.zeros(1))
+        return (replace(version, common=COMMON), found) if any(found) else None
 
-    def subspace(
-        self, effects: _Effects, sign: Array | None = None, rows: IntArray | None = None
-    ) -> _Subspace | None:
-        """What calibration leaves of effects in some rows; None where that is next to nothing."""
-        subset: IntArray | slice = slice(None) if rows is None else rows
-        before = float(np.sum(effects.squares[subset]))
-        own = (effects.own if self.linearized.separates_directions else effects.whitened)[subset]
-        own = own if sign is None else own * sign[subset, None]
-        if not self.linearized.separates_directions:  # then what calibration leaves has rows in both
-            signed = np.zeros_like(effects.whitened)
+    def subspace(self, effects: _Effects, group: _Group, *, opposite: bool = False) -> _Subspace | None:
+        """What calibration leaves of effects in a group of rows; None where that is next to nothing."""
+        known, key = effects.batch.known, (group, opposite)
+        if key not in known:
+            known[key] = self.subspaces(effects.batch, self.rows_of(group), opposite=opposite)
+        return known[key][effects.place]
+
+    def subspaces(self, batch: _Batch, subset: IntArray | slice, *, opposite: bool) -> list[_Subspace | None]:
+        """The same of all functions of a batch."""
+        separate, shape = self.linearized.separates_directions, batch.own.shape
+        before = np.einsum("npm,npm->p", batch.whitened[subset], batch.whitened[subset])
+        own = (batch.own if separate else batch.whitened)[subset]
+        own = own * self.sign[subset, None, None] if opposite else own
+        if not separate:  # then what calibration leaves has rows in both
+            signed = np.zeros(shape)
             signed[subset] = own
-            own, subset = self.linearized.project_own(signed), slice(None)
-        products, lost = own.T @ own, 0.0
+            own = self.linearized.project_own(signed.reshape(len(signed), -1)).reshape(shape)
+            subset = slice(None)
+        across = own.transpose(1, 2, 0)
+        products, lost = across @ across.transpose(0, 2, 1), np.zeros(shape[1])
         if self.shared_basis.shape[1]:
-            shared = self.shared_basis[subset].T @ own
-            products -= shared.T @ shared
-            lost = float(np.sum(shared**2))
-        return _Subspace.of(subset, own, products, max(EFFECT_TOL**2, MIN_SHARE * before), lost)
+            shared = across @ self.shared_basis[subset]
+            products -= shared @ shared.transpose(0, 2, 1)
+            lost = np.einsum("pmk,pmk->p", shared, shared)
+        return _orthonormalize(subset, across, products, np.maximum(EFFECT_TOL**2, MIN_SHARE * before), lost)
 
     def make(
         self, name: str, version: SmoothTerm, parts: Sequence[_Subspace | None], sign: Array | None = None

@@ -26,8 +26,8 @@ from scipy.special import poch
 from stickslip_fit._rows import rank_within, unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.proposed import POSITION, TRANSVERSE_LOAD, ZETA
+from stickslip_fit.diagnosis.carriers import find_carriers, traverse_average
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.smooth_alternatives import find_carriers, traverse_average
 from stickslip_fit.logs.history import JOINT_NET_USE, LATE_TEMPERATURE, NET_USE, RECENT_USE
 
 # Carriers that are no reason for noise.
