@@ -122,12 +122,12 @@ def _plain_waves(
     session, names = pd.factorize(rows["session"].astype(object))
     values = rows[carriers[0]].to_numpy(float)
     periods = choose_periods(values[acts], session[acts])
-    pairs = (
-        _cosines_and_sines(values, 1.0 / periods) * (SMOOTH_SCALE * size / linearized.scale)[:, None, None]
-    )
+    pairs, factor = np.zeros((len(rows), len(periods), 2)), SMOOTH_SCALE * size / linearized.scale
+    pairs[acts] = _cosines_and_sines(values[acts], 1.0 / periods) * factor[acts, None, None]
     plain = PeriodicTerm(carriers, limits, sessions=tuple(map(str, names)), **attributes)
     waves = [replace(plain, period=period) for period in periods.tolist()]
-    return build_per_session_hypotheses(_names(waves), len(rows), sessions, pairs, waves)
+    own = [part for session in sessions if len(part := session.restrict(acts))]
+    return build_per_session_hypotheses(_names(waves), len(rows), own, pairs, waves)
 
 
 def _periodic_alternatives(

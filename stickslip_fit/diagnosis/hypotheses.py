@@ -215,6 +215,16 @@ class SessionFit:
         """As `shared`, in the session's rows, shape (s, k)."""
         return np.zeros((len(self), 0)) if self.shared is None else self.shared[self.rows]
 
+    def restrict(self, acts: BoolArray) -> SessionFit:
+        """The rows of all blocks of calibration that have a row in which something acts, shape (n,)."""
+        acts = acts[self.rows]
+        reached = acts.copy()
+        for places, _ in self.blocks:
+            reached[places] |= acts[places].any()
+        place = np.cumsum(reached) - 1
+        blocks = tuple((place[places], basis) for places, basis in self.blocks if reached[places].any())
+        return SessionFit(self.rows[reached], (), (), blocks, self.shared, self.scale[reached])
+
     def whiten(self, changes: Array) -> Array:
         """As of the `LinearizedFit`, shape (s, m)."""
         return whiten(changes, self.scale, self.noise_filter)

@@ -142,6 +142,21 @@ def test_where_nothing_but_memory_is_left_to_test_its_evidence_is_that_without_t
     assert Look(assess(only)).without(rows).log_evidence == pytest.approx(expected.log_evidence, abs=1e-6)
 
 
+def test_hypotheses_that_are_far_behind_need_not_be_tested_anew():
+    """In the test that names a cause and in the one that shows nothing more, the answers stay the same."""
+    log = read_hidden(hide("session", ("drift",), 14, seed=3))
+    problem, _ = problem_from_log(log, library())
+    looks = prepare_looks(select_causes(problem, ALPHA, 199, np.random.default_rng(1)), ALPHA)
+    rng, n = np.random.default_rng(2), len(problem)
+    for look, tolerance in ((looks.naming[0], 1e-3), (looks.last, 0.3)):  # a clear answer is 1 away
+        every = Look(look.misfit)
+        for _ in range(5):
+            rows = np.sort(rng.choice(n, n // 10, replace=False))
+            without = look.without(rows)
+            assert np.mean(without.log_evidence == look.misfit.log_evidence) > 0.9
+            assert without.statistic == pytest.approx(every.without(rows).statistic, abs=tolerance)
+
+
 def test_a_refit_loses_rows_as_if_it_were_repeated_without_them(problem):
     cause = next(one for one in problem.causes if one.name == "drift")
     version = cause.trials(problem.rows)[0][0]
