@@ -41,6 +41,7 @@ from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import term_change
 from stickslip_fit.laws import state_at
 from stickslip_fit.logs.history import (
+    CHANGES,
     DEPARTURES,
     JOINT_NET_USE,
     JOINT_USE,
@@ -50,7 +51,7 @@ from stickslip_fit.logs.history import (
     PAUSES,
     RECENT_USE,
     USE,
-    condition_of,
+    unit_of,
 )
 from stickslip_fit.logs.log import has_replicates
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, is_coordinate
@@ -110,6 +111,10 @@ COLUMN_WORDS = {
     **{
         name: f"the temperature some {seconds / 60.0:.0f} min late"
         for name, seconds in LATE_TEMPERATURE.items()
+    },
+    **{
+        name: f"how the {CONDITIONS[condition].label} has changed in the last {seconds / 60.0:.0f} min or so"
+        for name, (condition, seconds) in CHANGES.items()
     },
     "session_seconds": "the time in the session",
     "session_order": "the number of traverses in the session",
@@ -444,8 +449,11 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
         value, unit = from_si(value, "h"), " h"
     elif name in PAUSES:
         return f"{format_significant(from_si(value, 'min'), 3)} min {SINCE[name]}"
-    elif condition_of(name) in CONDITIONS:
-        shown = CONDITIONS[condition_of(name)].unit
+    elif name in CHANGES:
+        condition, seconds = CHANGES[name]
+        more = f"{format_significant(from_si(value, unit_of(name)), 3)} {unit_of(name)}"
+        return f"a {CONDITIONS[condition].label} changed by {more} in the last {seconds / 60.0:.0f} min or so"
+    elif shown := unit_of(name):
         value, unit = from_si(value, shown), f" {shown}"
     return f"{label} {format_significant(float(value), 3)}{unit}"
 

@@ -23,16 +23,17 @@ from stickslip_fit.causes.proposed import (
 from stickslip_fit.causes.smooth import cosine_sequence, cosines, prior_sds
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.laws import State, state_at
-from stickslip_fit.logs.history import FURTHER_HISTORY, LATE_TEMPERATURE
+from stickslip_fit.logs.history import CHANGES, FURTHER_HISTORY, LATE_TEMPERATURE, condition_of
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, position_columns
 
 LENGTHS = (0.25, 0.1)  # correlation lengths of functions of a carrier, of its range
 BEYOND = 0.15  # of a range of positions, by which that of its functions is wider on either side
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)  # of a carrier along a traverse
 HISTORY = ("session_seconds", "steps_before", "before_load", BEFORE_DIRECTION)
+PAST = {*LATE_TEMPERATURE, *CHANGES}
 FURTHER_OF_TRAVERSE = tuple(name for name in FURTHER_HISTORY if name != "session_order")
-# Correlation, above which a late temperature would only stand beside that of the room as its rival.
-MAX_LIKE_ROOM = 0.95
+# Correlation, above which a condition's past would only stand beside the condition as its rival.
+MAX_LIKE_CONDITION = 0.95
 SOME_VALUES = 1000  # of a carrier, among which distinct ones are counted first
 # Distinct values of a carrier with which it has all functions.
 ENOUGH_DISTINCT = 2 + len(prior_sds(min(LENGTHS) / (1.0 + 2.0 * BEYOND)))
@@ -89,7 +90,7 @@ def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
     columns = [name for name in (*CONDITIONS, *own) if name in rows]
     history = [name for name in HISTORY if name in rows and rows[name].notna().all()]
     history += [name for name in FURTHER_OF_TRAVERSE if name in rows and rows[name].notna().any()]
-    history = [name for name in history if name not in LATE_TEMPERATURE or _is_late(rows, name)]
+    history = [name for name in history if name not in PAST or _differs_from_condition(rows, name)]
     # Where one joint moves, what it did is what all did: of columns that are the same one is enough.
     history = list({rows[name].to_numpy().tobytes(): name for name in reversed(history)}.values())[::-1]
     # A machine without the published geometry has no gravity load.
@@ -129,11 +130,11 @@ def _along_traverses(n: int, states: Sequence[tuple[IntArray, State]], name: str
     return values
 
 
-def _is_late(rows: pd.DataFrame, name: str) -> bool:
-    """Whether the temperature that follows late is clearly another than that of the room, in its sessions."""
+def _differs_from_condition(rows: pd.DataFrame, name: str) -> bool:
+    """Whether a condition's past is clearly another than the condition, in its sessions."""
     session = rows["session"].astype(object)
-    both = [rows[one] - rows[one].groupby(session).transform("mean") for one in ("temperature", name)]
-    return bool(abs(both[0].corr(both[1])) < MAX_LIKE_ROOM)
+    both = [rows[one] - rows[one].groupby(session).transform("mean") for one in (condition_of(name), name)]
+    return bool(abs(both[0].corr(both[1])) < MAX_LIKE_CONDITION)
 
 
 def _make_carrier(name: str, values: Array) -> Carrier | None:

@@ -30,8 +30,8 @@ from stickslip_fit.diagnosis.carriers import Carrier, find_carriers, traverse_av
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.smooth_alternatives import MIN_SHARE, interact
-from stickslip_fit.logs.history import condition_of
-from stickslip_fit.logs.schema import CONDITIONS, is_coordinate
+from stickslip_fit.logs.history import unit_of
+from stickslip_fit.logs.schema import is_coordinate
 from stickslip_fit.units import from_si, to_si
 
 # A label, another clock, and what has another unit in each joint.
@@ -230,8 +230,7 @@ def _functions(carrier: Carrier, machine: JointKinds) -> Iterator[CarrierFunctio
             is_time = shown and expression != "log(1 + x)"
             yield CarrierFunction(expression, name, 0.0, 1.0 if is_time else unit, shown)
     else:
-        column = condition_of(name)
-        shown = CONDITIONS[column].unit if column in CONDITIONS else ""
+        shown = unit_of(name)
         apart = "K" if shown == "°C" else shown
         unit = _round((carrier.high - carrier.low) / 2, apart)
         middle = _round(float(np.nanmean(carrier.values)), shown, _from_si(unit, apart))

@@ -10,6 +10,7 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, Int64Array
 from stickslip_fit.logs._table import label_codes, run_in_threads
+from stickslip_fit.logs.schema import CONDITIONS
 from stickslip_fit.machine import Machine, load_machine, mean_load
 
 # What was driven not long ago: of any joint, of the same joint and of the others, and s in which it is
@@ -23,6 +24,12 @@ NET_USE = {f"net_{name}": seconds for name, seconds in USE.items()}
 JOINT_NET_USE = {f"joint_{name}": seconds for name, seconds in NET_USE.items()}
 # The room's temperature as a body has it that follows so many s late.
 LATE_TEMPERATURE = {f"temperature_{minutes}min": 60.0 * minutes for minutes in (10, 20, 40, 80)}
+# How far a logged condition is from what it was: its name, and s in which a change is forgotten.
+CHANGES = {
+    f"{condition}_change_{minutes}min": (condition, 60.0 * minutes)
+    for condition in CONDITIONS
+    for minutes in (10, 40)
+}
 # Times since something, s.
 PAUSES = ("pause", "joint_pause", "other_pause", "tilt_age")
 # History on which no published cause depends.
@@ -33,6 +40,7 @@ FURTHER_HISTORY = (
     *NET_USE,
     *JOINT_NET_USE,
     *LATE_TEMPERATURE,
+    *CHANGES,
 )
 NEGLIGIBLE_USE = 1e-9  # share of what was driven
 # What the step size of the traverse before had beyond its law, and the time since that traverse.
@@ -42,8 +50,21 @@ CLOSE_IN_TIME = 1e-3  # s
 
 
 def condition_of(column: str) -> str:
-    """The logged condition that a column of history follows late; any other column itself."""
-    return "temperature" if column in LATE_TEMPERATURE else column
+    """The logged condition whose past a column of history is; any other column itself."""
+    return "temperature" if column in LATE_TEMPERATURE else CHANGES.get(column, (column,))[0]
+
+
+def unit_of(column: str) -> str:
+    """The unit in which a condition or its past is shown; empty for any other column.
+
+    Examples
+    --------
+    >>> unit_of("temperature_40min"), unit_of("temperature_change_40min")
+    ('°C', 'K')
+    """
+    condition = CONDITIONS.get(condition_of(column))
+    unit = condition.unit if condition is not None else ""
+    return "K" if unit == "°C" and column in CHANGES else unit
 
 
 def add_history(rows: pd.DataFrame) -> pd.DataFrame:
@@ -83,7 +104,8 @@ def add_session_history(
     shares of its travel; ``tilt_age``, time since the first one with this theta and psi without another tilt
     between; the columns of `RECENT_USE`: the lengths of its traverses so far, as shares of their joints'
     travel, each times exp(-age / s), see `recent_use`; those of `NET_USE` and `JOINT_NET_USE`, the same with
-    the sign of each direction; and those of `LATE_TEMPERATURE`, see `follow_late`.
+    the sign of each direction; those of `LATE_TEMPERATURE`, see `follow_late`; and those of `CHANGES`, a
+    condition less what it is with such a lag.
     """
     joint = rows["joint"].to_numpy()
     time = rows["time"].to_numpy(dtype="datetime64[ns]").view(np.int64)
@@ -129,6 +151,12 @@ def add_session_history(
     since = seconds - seconds[first_of_run(session, _number_tilts(rows))]
     room = rows["temperature"].to_numpy(float) if "temperature" in rows else np.full(len(rows), np.nan)
     late = {name: follow_late(room, seconds, session, s) for name, s in LATE_TEMPERATURE.items()}
+    conditions = {name: rows[name].to_numpy(float) for name in CONDITIONS if name in rows}
+    changes = {
+        name: conditions[one] - follow_late(conditions[one], seconds, session, s)
+        for name, (one, s) in CHANGES.items()
+        if one in conditions
+    }
     return rows.assign(
         before_direction=label_codes(direction, ("+", "-")).set_axis(rows.index),
         before_load=load,
@@ -146,6 +174,7 @@ def add_session_history(
         **use,
         **others,
         **late,
+        **changes,
     )
 
 

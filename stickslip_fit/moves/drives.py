@@ -16,7 +16,7 @@ from stickslip_fit.estimation import Result
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs import drives
 from stickslip_fit.logs._files import SourcePath
-from stickslip_fit.logs.history import LATE_TEMPERATURE
+from stickslip_fit.logs.history import CHANGES, LATE_TEMPERATURE
 from stickslip_fit.logs.schema import COVARIATE_PREFIX, ORIENTATION, is_coordinate
 from stickslip_fit.machine import Machine
 from stickslip_fit.moves.arm import CONDITION_KEYS, check_given_conditions, column_key
@@ -111,7 +111,8 @@ def fill_conditions(rows: pd.DataFrame, conditions: Mapping[str, float]) -> pd.D
     if "temperature" in conditions:  # of a room that keeps it
         late = {name: rows[name].fillna(rows["temperature"]) for name in LATE_TEMPERATURE if name in rows}
         rows = rows.assign(**late)
-    return rows
+    steady = [name for name, (condition, _) in CHANGES.items() if condition in conditions and name in rows]
+    return rows.assign(**{name: rows[name].fillna(0.0) for name in steady})
 
 
 def one_drive(

@@ -26,7 +26,16 @@ from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import ResidualComparison, find_carrier
 from stickslip_fit.estimation.profile import follows_position
-from stickslip_fit.logs.history import JOINT_NET_USE, JOINT_USE, LATE_TEMPERATURE, NET_USE, OTHER_USE, USE
+from stickslip_fit.logs.history import (
+    CHANGES,
+    JOINT_NET_USE,
+    JOINT_USE,
+    LATE_TEMPERATURE,
+    NET_USE,
+    OTHER_USE,
+    USE,
+    unit_of,
+)
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times, position_columns
 from stickslip_fit.machine import Machine, mean_load
 from stickslip_fit.plotting._style import (
@@ -251,6 +260,13 @@ FURTHER_LABELS = {
     **{
         name: (f"temperature {seconds / 60.0:.0f} min late (°C)", "°C")
         for name, seconds in LATE_TEMPERATURE.items()
+    },
+    **{
+        name: (
+            f"change of the {CONDITIONS[condition].label} in {seconds / 60.0:.0f} min ({unit_of(name)})",
+            unit_of(name),
+        )
+        for name, (condition, seconds) in CHANGES.items()
     },
     **{name: (f"full travels in {seconds / 60.0:.0f} min", "") for name, seconds in USE.items()},
     **{name: (f"own full travels in {seconds / 60.0:.0f} min", "") for name, seconds in JOINT_USE.items()},

@@ -117,6 +117,24 @@ def charge(table, minutes=12.0):
     return 0.02 * found / np.abs(found).max()
 
 
+def settling(table, minutes=15.0):
+    """Payloads are changed every 70 min or so; for a while after each change steps are longer or shorter."""
+    at, rng = pd.to_datetime(table["time"]), np.random.default_rng(6)
+    found, grams = np.zeros(len(table)), np.zeros(len(table))
+    for session in dict.fromkeys(table["session"]):
+        rows = np.flatnonzero(table["session"] == session)
+        clock = ((at.iloc[rows] - at.iloc[rows].min()).dt.total_seconds() / 60.0).to_numpy()
+        moments = 70.0 * np.arange(1, int(clock.max() / 70.0) + 1) + rng.uniform(-15.0, 15.0)
+        masses = np.append(20.0, rng.choice([0.0, 10.0, 20.0, 30.0, 40.0], len(moments)))
+        grams[rows] = masses[np.searchsorted(moments, clock)]
+        for moment, change in zip(moments, np.diff(masses), strict=True):
+            found[rows] += (
+                change / 40.0 * np.exp(-np.maximum(clock - moment, 0.0) / minutes) * (clock > moment)
+            )
+    table["payload_g"] = grams
+    return 0.02 * found
+
+
 def read_with(effect, design, joints, seed=4, replicate=0):
     hidden = hide(design, seed=seed, replicate=replicate)
     table = hidden.table.copy()
@@ -142,6 +160,7 @@ def diagnose_with(effect, design, joints):
         (faster_and_faster, "session", (2, 3), {"session_seconds"}),
         (pump_by_load, "thesis", (2, 3), {"session_seconds", "load"}),
         (charge, "session", (2, 3), {"net_use_20min"}),
+        (settling, "session", (2, 3), {"payload_change_10min"}),
         pytest.param(warmth, "session", (2, 3), {"joint_use_20min"}, marks=pytest.mark.nightly),
         pytest.param(warmth, "many", (1, 2, 3), {"joint_use_20min"}, marks=pytest.mark.nightly),
     ],

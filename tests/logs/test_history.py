@@ -2,12 +2,13 @@
 
 import math
 from datetime import datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.integrate import quad
+from scipy.integrate import quad, solve_ivp
 
 from stickslip_fit.logs import add_history, read_log
 from stickslip_fit.logs.history import previous_rows
@@ -158,6 +159,34 @@ def assert_history(rows: pd.DataFrame) -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_history_is_what_a_slow_loop_finds(read, seed):
     assert_history(read(campaign(seed).to_csv(index=False)).rows)
+
+
+@pytest.mark.parametrize(
+    ("column", "minutes", "unit", "offset"),
+    [("temperature_C", 40, 1.0, 273.15), ("payload_g", 10, 1e-3, 0.0)],
+)
+def test_what_a_condition_was_of_late_is_what_a_body_has_that_follows_it(read, column, minutes, unit, offset):
+    """By a solver of differential equations; between rows the condition changes evenly."""
+    rng, table = np.random.default_rng(8), campaign(8, 60)
+    table["session"] = np.sort(rng.choice(["001", "1"], 60))
+    table["time"] = [
+        (datetime(2012, 3, 5) + timedelta(minutes=int(m))).isoformat()
+        for m in np.cumsum(rng.integers(1, 30, 60))
+    ]
+    table[column] = rng.uniform(10.0, 30.0, 60).round(1)
+    rows, name = read(table.to_csv(index=False)).rows, column.rsplit("_", 1)[0]
+    for _, own in rows.groupby("session", observed=True):
+        at, values = own["session_seconds"].to_numpy(), own[name].to_numpy()
+        np.testing.assert_allclose(values, unit * table.loc[own.index, column] + offset)
+        followed = [values[0]]
+        for (begin, end), ends in zip(pairwise(at), pairwise(values), strict=True):
+            law = lambda t, y, x=(begin, end), u=ends: (np.interp(t, x, u) - y) / (60.0 * minutes)  # noqa: E731
+            solved = solve_ivp(law, (begin, end), followed[-1:], rtol=1e-9, atol=1e-9 * unit)
+            followed.append(solved.y[0, -1])
+        late = f"{name}_{minutes}min"
+        np.testing.assert_allclose(own[f"{name}_change_{minutes}min"], values - followed, atol=1e-5 * unit)
+        if late in own:
+            np.testing.assert_allclose(own[late], followed, atol=1e-5)
 
 
 def test_history_of_a_real_campaign(tmp_path):
