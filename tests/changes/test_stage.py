@@ -44,8 +44,12 @@ def compare(make_log, before, after, laws=None, psi="0"):
     [
         *((*case, None) for case in CASES),
         *(
-            pytest.param(*case, {3: ssf.physical_law}, marks=[pytest.mark.nightly] if number % 2 else [])
-            for number, case in enumerate(CASES)
+            pytest.param(
+                *case,
+                {3: ssf.physical_law},
+                marks=[] if case == ("voltage", "velocity-limited") else [pytest.mark.nightly],
+            )
+            for case in CASES
         ),
     ],
 )
@@ -63,7 +67,11 @@ def test_a_change_of_the_stage_is_read(make_log, quantity, regime, laws):
 
 @pytest.mark.parametrize(
     ("quantity", "factor"),
-    [("friction", 0.9), pytest.param("ramp time", 1.1, marks=pytest.mark.nightly), ("voltage", 0.9)],
+    [
+        pytest.param("friction", 0.9, marks=pytest.mark.nightly),
+        pytest.param("ramp time", 1.1, marks=pytest.mark.nightly),
+        ("voltage", 0.9),
+    ],
 )
 def test_a_change_that_takes_some_loads_into_the_other_regime_is_read(make_log, quantity, factor):
     """lambda is not the same before and after it, and one for both logs fits neither."""

@@ -55,7 +55,8 @@ def test_it_is_unknown_with_the_carry_over_as_its_term_and_nothing_besides(found
     assert found.gain.extended < 0.85 * found.gain.baseline
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [1, 2])
 def test_its_size_has_in_it_what_calibration_absorbed_of_the_departures_before(seed):
     hidden = replace(CASE, seed=seed).make()
     (finding,) = diagnose(read_hidden(hidden), gain=False).findings

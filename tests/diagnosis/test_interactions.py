@@ -128,16 +128,19 @@ def settling(table, minutes=15.0):
         masses = np.append(20.0, rng.choice([0.0, 10.0, 20.0, 30.0, 40.0], len(moments)))
         grams[rows] = masses[np.searchsorted(moments, clock)]
         for moment, change in zip(moments, np.diff(masses), strict=True):
-            found[rows] += (
-                change / 40.0 * np.exp(-np.maximum(clock - moment, 0.0) / minutes) * (clock > moment)
-            )
+            age = np.maximum(clock - moment, 0.0)
+            found[rows] += change / 40.0 * (clock > moment) * np.exp(-age / minutes)
     table["payload_g"] = grams
     return 0.02 * found
 
 
+# Of a lab, which act on nothing here: each has many functions that would be tried.
+LAB_COLUMNS = ["temperature_C", "supply_V", "air_pressure_hPa"]
+
+
 def read_with(effect, design, joints, seed=4, replicate=0):
     hidden = hide(design, seed=seed, replicate=replicate)
-    table = hidden.table.copy()
+    table = hidden.table.drop(columns=LAB_COLUMNS, errors="ignore")
     steps = table["steps"] / (1.0 + effect(table))
     table["steps"] = (CHECK_EVERY * np.round(steps / CHECK_EVERY)).astype(int)
     return read_hidden(replace(hidden, table=table), joints)
@@ -152,14 +155,14 @@ def diagnose_with(effect, design, joints):
     ("effect", "design", "joints", "carriers"),
     [
         pytest.param(own_length, "many", (3,), {"own_length"}, marks=pytest.mark.nightly),
-        (two_columns, "session", (2, 3), {"supply", "temperature"}),
+        (two_columns, "session", (2,), {"supply", "temperature"}),
         pytest.param(
             two_slow_columns, "session", (2, 3), {"supply", "temperature"}, marks=pytest.mark.nightly
         ),
-        (creep_after_a_tilt, "session", (2, 3), {"tilt_age"}),
+        (creep_after_a_tilt, "session", (2,), {"tilt_age"}),
         (faster_and_faster, "session", (2, 3), {"session_seconds"}),
         (pump_by_load, "thesis", (2, 3), {"session_seconds", "load"}),
-        (charge, "session", (2, 3), {"net_use_20min"}),
+        (charge, "session", (2,), {"net_use_20min"}),
         (settling, "session", (2, 3), {"payload_change_10min"}),
         pytest.param(warmth, "session", (2, 3), {"joint_use_20min"}, marks=pytest.mark.nightly),
         pytest.param(warmth, "many", (1, 2, 3), {"joint_use_20min"}, marks=pytest.mark.nightly),
@@ -172,13 +175,13 @@ def test_what_steps_follow_is_found(effect, design, joints, carriers):
 
 
 def test_two_waves_are_found_in_one_session():
-    found = diagnose_with(two_pumps, "session", (1, 2, 3))
+    found = diagnose_with(two_pumps, "session", (2, 3))
     assert {one.carrier for one in found.findings} == {"period of 10.7 min", "period of 8.6 min"}
 
 
 def test_a_wave_may_change_its_size_and_phase():
     """Of 0.63 % rms a wave of one phase, with a second one beside it, leaves 0.45, of noise 0.31."""
-    log, fresh = (read_with(drifting_pump, "session", (1, 2, 3), 7, replicate) for replicate in (0, 1))
+    log, fresh = (read_with(drifting_pump, "session", (2, 3), 7, replicate) for replicate in (0, 1))
     found = diagnose(log, gain=False)
     assert "a wave, whose size and phase change, is proposed" in " ".join(str(found).split())
     # Over a phase that wanders it would be smeared.
@@ -203,7 +206,7 @@ def test_a_wave_of_one_joint_is_found_in_what_seems_its_noise():
 
 
 def test_recent_use_is_told_as_warmth():
-    found = diagnose_with(warmth, "session", (2, 3))
+    found = diagnose_with(warmth, "session", (2,))
     text = " ".join(found.summary().headline)
     assert "follow the joint's own travel in the last 20 min or so" in text
     assert "full travels of its own in the last 20 min" in text

@@ -112,7 +112,10 @@ CASES = {  # change: quantities that it may be, what it is called; rates are in 
 
 @pytest.mark.parametrize(
     ("regime", "change"),
-    [pytest.param(*one, marks=[pytest.mark.nightly] if one[1] == "ramp-time" else []) for one in CASES],
+    [
+        pytest.param(*one, marks=[pytest.mark.nightly] if one[1] in ("preload", "ramp-time") else [])
+        for one in CASES
+    ],
 )
 def test_a_hidden_change_of_a_stage_is_read(read_table, regime, change):
     expected, size = CASES[regime, change]

@@ -78,7 +78,7 @@ def test_a_column_of_the_labs_own_is_named(design):
     ("design", "noise"),
     [
         *(
-            pytest.param(design, noise, marks=[pytest.mark.nightly] if design == "many" else [])
+            pytest.param(design, noise, marks=[] if design == "thesis" else [pytest.mark.nightly])
             for design, noise in zip(DESIGNS, NOISES, strict=True)
         ),
         pytest.param("thesis", "gaussian", marks=pytest.mark.nightly),

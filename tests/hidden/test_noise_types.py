@@ -28,7 +28,7 @@ EXPECTED = {  # findings and noise properties
         ("rounded", 0),
         pytest.param("configurations", 5072, marks=pytest.mark.nightly),
         pytest.param("places", 5105, marks=pytest.mark.nightly),
-        (GROSS, 0),
+        pytest.param(GROSS, 0, marks=pytest.mark.nightly),
     ],
 )
 def test_noise_is_called_what_it_is(kind, seed):
