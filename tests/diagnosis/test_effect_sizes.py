@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stickslip_fit.causes import library
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.effect_interval import fit_beside, linearize_unweighted
 from stickslip_fit.diagnosis.effect_size import size_findings
@@ -14,11 +15,14 @@ from tests.hidden.reading import read_hidden
 from tests.hidden.study import Case, make
 
 WARM_UP, HIDDEN = "thermal-warm-up", "unknown:product"
+RIVALS = ("drift", "wear", "session-jump")
+LAB_COLUMNS = ["temperature_C", "supply_V", "air_pressure_hPa"]  # which act on nothing here
 
 
 def hide_both(strengths):
     forms = {WARM_UP: "table", HIDDEN: "load and hours"}
-    return hide("session", (WARM_UP, HIDDEN), strengths, seed=0, forms=forms)
+    hidden = hide("session", (WARM_UP, HIDDEN), strengths, seed=0, forms=forms)
+    return replace(hidden, table=hidden.table.drop(columns=LAB_COLUMNS))
 
 
 @pytest.fixture(
@@ -29,9 +33,10 @@ def hide_both(strengths):
     ],
 )
 def both(request):
-    """What is hidden, and what the diagnosis finds."""
+    """What is hidden, and what the diagnosis finds among the cause and those most like it."""
     hidden = hide_both(request.param)
-    return hidden, diagnose(read_hidden(hidden), gain=False)
+    causes = [one for one in library() if one.name in (WARM_UP, *RIVALS)]
+    return hidden, diagnose(read_hidden(hidden), causes=causes, gain=False)
 
 
 def sizes(findings):
