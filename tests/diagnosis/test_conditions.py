@@ -12,9 +12,9 @@ from tests.hidden.reading import read_hidden
 
 
 def read_with_temperature(change, seed, empty=0):
-    """A log of joints 2 and 3 that follow a room's slow swing; `empty` of its cells are lost."""
+    """A log of joint 3 that follows a room's slow swing; `empty` of its cells are lost."""
     rng, hidden = np.random.default_rng(seed), hide("thesis", seed=seed)
-    table = hidden.table[hidden.table["joint"] > 1].reset_index(drop=True)
+    table = hidden.table[hidden.table["joint"] == 3].reset_index(drop=True)
     hours = (pd.to_datetime(table["time"]) - pd.to_datetime(table["time"]).min()).dt.total_seconds() / 3600.0
     kelvin = 4.0 * np.sin(2.0 * np.pi * hours.to_numpy() / 4.0 + seed)
     table["steps"] = (5 * np.round(table["steps"] / (1.0 + change(kelvin)) / 5)).astype(int)

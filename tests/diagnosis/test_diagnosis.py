@@ -12,7 +12,7 @@ from tests.diagnosis.conftest import ALPHA
 
 def test_the_gain_is_measured_afterwards_as_well(drifting):
     """In one step and in two."""
-    one_joint = drifting.select(drifting.rows["joint"] == 3)
+    one_joint = drifting.select((drifting.rows["joint"] == 3) & (drifting.rows["session"] == "2012-03-05"))
     causes = [Drift(), ThermalWarmUp()]
     whole = diagnose(one_joint, causes=causes, alpha=ALPHA)
     named = diagnose(one_joint, causes=causes, alpha=ALPHA, gain=False)

@@ -151,7 +151,9 @@ def test_confusion_is_how_often_noise_makes_one_shape_look_like_the_other():
     assert found.confusion("drift", "wear", 8.0) == pytest.approx(wrong, abs=0.012)
 
 
-@pytest.mark.parametrize("effect", ["drift", "psi-offset", "side-load"])
+@pytest.mark.parametrize(
+    "effect", ["drift", "psi-offset", pytest.param("side-load", marks=pytest.mark.nightly)]
+)
 def test_sizes_and_strengths_are_those_of_logs_that_hide_the_effect(effect):
     hidden = hide("thesis", (effect,), strength=8.0, seed=2)
     causes = [cause for cause in library() if cause.name == effect]

@@ -242,7 +242,7 @@ def test_the_history_of_what_is_proposed_is_that_of_a_session_with_its_calibrati
 def whole_guide():
     """A log that never sets q1 and runs the whole guide in every traverse of joint 3."""
     log = log_of("session", "side-load", 10.0)
-    diagnosis = diagnose(log, causes=library(), alpha=ALPHA, gain=False)
+    diagnosis = diagnose(log.select(log.rows["joint"] == 3), causes=library(), alpha=ALPHA, gain=False)
     return diagnosis, suggest_traverses(diagnosis, library())
 
 

@@ -1,6 +1,7 @@
 """The searches of a diagnosis: what is told of outliers is that of the search that was made last."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -46,12 +47,17 @@ def test_outliers_are_the_rows_that_the_last_search_was_made_without(searches, c
     assert list(finding.traverses.index) == list(range(pipeline.MAX_SEARCHES - 1))
 
 
-def test_a_cause_without_which_the_law_is_as_likely_is_needless():
-    """Only drift is hidden; side-load is fitted to noise."""
-    log = read_hidden(hide("thesis", ("drift",), 14, seed=3))
+@cache
+def drift_and_side_load():
+    """A problem in which only drift is hidden, of two causes, and its evidence."""
     causes = [cause for cause in library() if cause.name in ("drift", "side-load")]
-    problem, _ = problem_from_log(log, causes)
-    misfit = compute_evidence(problem.linearize(), problem)
+    problem, _ = problem_from_log(read_hidden(hide("thesis", ("drift",), 14, seed=3)), causes)
+    return problem, compute_evidence(problem.linearize(), problem)
+
+
+def test_a_cause_without_which_the_law_is_as_likely_is_needless():
+    """Side-load is fitted to noise."""
+    problem, misfit = drift_and_side_load()
     selected = [make_selected(misfit, form_cause_set(misfit, name)) for name in ("drift", "side-load")]
     whole = extend_problem(problem, selected)
     ((others, without),) = find_needless(whole, selected, most=5.0)
@@ -63,9 +69,7 @@ def test_a_cause_without_which_the_law_is_as_likely_is_needless():
 @pytest.mark.parametrize("took_its_place", [False, True])
 def test_of_two_causes_that_took_each_other_s_place_neither_is_told_from_the_other(took_its_place):
     """A side load that took the place of a drift, which is likelier when both are compared again."""
-    causes = [cause for cause in library() if cause.name in ("drift", "side-load")]
-    problem, _ = problem_from_log(read_hidden(hide("thesis", ("drift",), 14, seed=3)), causes)
-    misfit = compute_evidence(problem.linearize(), problem)
+    problem, misfit = drift_and_side_load()
     one = make_selected(misfit, form_cause_set(misfit, "side-load"))
     if took_its_place:
         one = replace(one, cause_set=one.cause_set.with_rivals(["drift"]))

@@ -87,7 +87,7 @@ def drive(profiles, seed):
             id="runout",
             marks=pytest.mark.nightly,
         ),
-        pytest.param(1, gradient, "guide-gradient", {"k": 3.0}, id="gradient"),
+        pytest.param(1, gradient, "guide-gradient", {"k": 3.0}, id="gradient", marks=pytest.mark.nightly),
         pytest.param(
             3, cable, "cable-torque", {"k": 0.04 * STEPS[3] / 175}, id="cable", marks=pytest.mark.nightly
         ),
