@@ -29,7 +29,7 @@ def diagnosed(kind, number, logs=3, strength=STRONG):
         pytest.param("thermal-warm-up", "thesis", marks=pytest.mark.nightly),
         ("session-jump", "session"),
         pytest.param("temperature", "many", marks=pytest.mark.nightly),
-        ("q2-offset", "thesis"),
+        pytest.param("q2-offset", "thesis", marks=pytest.mark.nightly),
         pytest.param("recoil-axis", "session", marks=pytest.mark.nightly),
         pytest.param("load-nonlinearity", "thesis", marks=pytest.mark.nightly),
         pytest.param("guide-gradient", "many", marks=pytest.mark.nightly),
@@ -94,12 +94,13 @@ def test_nothing_is_found_where_nothing_is_hidden(design, noise):
     assert found.p_value > 0.01
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("effect", "design"),
     [
-        pytest.param("unknown:periodic", "many", marks=pytest.mark.nightly),
+        ("unknown:periodic", "many"),
         ("unknown:curvature", "thesis"),
-        pytest.param("unknown:memory", "thesis", marks=pytest.mark.nightly),
+        ("unknown:memory", "thesis"),
     ],
 )
 def test_what_no_cause_describes_is_called_unknown(effect, design):
@@ -127,11 +128,12 @@ def test_strong_memory_is_unknown_and_nothing_besides(design, noise, seed):
     assert found.inside
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("design", "causes", "strength"),
     [
         ("session", ("thermal-warm-up", "end-stop-latency"), 16.0),
-        pytest.param("many", ("temperature", "q2-offset"), STRONG, marks=pytest.mark.nightly),
+        ("many", ("temperature", "q2-offset"), STRONG),
     ],
 )
 def test_two_causes_are_both_found(design, causes, strength):

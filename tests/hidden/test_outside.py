@@ -85,7 +85,11 @@ def test_what_came_before_is_counted_and_measured_as_a_log_tells_it(read):
 
 @pytest.mark.parametrize(
     ("number", "size"),
-    [(1, 30), *(pytest.param(*one, marks=pytest.mark.nightly) for one in ((2, 24), (3, 27), (4, 24))), (5, 20)],
+    [
+        (1, 30),
+        *(pytest.param(*one, marks=pytest.mark.nightly) for one in ((2, 24), (3, 27), (4, 24))),
+        (5, 20),
+    ],
 )
 def test_there_are_so_many_cases_each_of_its_strength_at_a_plausible_size(number, size):
     made = cases((25.0,), 50, number)
