@@ -78,7 +78,8 @@ def test_free_fall_is_nothing_wrong(number, most):
 @pytest.mark.parametrize(
     ("name", "number"),
     [
-        *((name, 1) for name in SIZES),
+        pytest.param("quadratic-drag", 1, marks=pytest.mark.nightly),
+        ("linear-drag", 1),
         *(pytest.param(name, 20, marks=pytest.mark.nightly) for name in SIZES),
     ],
 )

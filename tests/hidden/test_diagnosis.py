@@ -66,7 +66,8 @@ def test_the_moment_of_a_jump_is_in_its_interval():
     assert np.median(widths) < 0.2  # of the session
 
 
-@pytest.mark.parametrize("design", ["session", pytest.param("many", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("design", ["session", "many"])
 def test_a_column_of_the_labs_own_is_named(design):
     seed = next(seed for seed in range(40) if "covariate" in testable(design, seed, STRONG))
     hidden = hide(design, ("covariate",), STRONG, decoys=("walk", "noise", "trend"), seed=seed)
