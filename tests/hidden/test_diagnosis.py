@@ -29,7 +29,7 @@ def diagnosed(kind, number, logs=3, strength=STRONG):
         pytest.param("thermal-warm-up", "thesis", marks=pytest.mark.nightly),
         ("session-jump", "session"),
         pytest.param("temperature", "many", marks=pytest.mark.nightly),
-        pytest.param("q2-offset", "thesis", marks=pytest.mark.nightly),
+        ("q2-offset", "thesis"),
         pytest.param("recoil-axis", "session", marks=pytest.mark.nightly),
         pytest.param("load-nonlinearity", "thesis", marks=pytest.mark.nightly),
         pytest.param("guide-gradient", "many", marks=pytest.mark.nightly),
@@ -66,8 +66,7 @@ def test_the_moment_of_a_jump_is_in_its_interval():
     assert np.median(widths) < 0.2  # of the session
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("design", ["session", "many"])
+@pytest.mark.parametrize("design", ["session", pytest.param("many", marks=pytest.mark.nightly)])
 def test_a_column_of_the_labs_own_is_named(design):
     seed = next(seed for seed in range(40) if "covariate" in testable(design, seed, STRONG))
     hidden = hide(design, ("covariate",), STRONG, decoys=("walk", "noise", "trend"), seed=seed)
@@ -95,13 +94,12 @@ def test_nothing_is_found_where_nothing_is_hidden(design, noise):
     assert found.p_value > 0.01
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("effect", "design"),
     [
-        ("unknown:periodic", "many"),
+        pytest.param("unknown:periodic", "many", marks=pytest.mark.nightly),
         ("unknown:curvature", "thesis"),
-        ("unknown:memory", "thesis"),
+        pytest.param("unknown:memory", "thesis", marks=pytest.mark.nightly),
     ],
 )
 def test_what_no_cause_describes_is_called_unknown(effect, design):
@@ -129,12 +127,11 @@ def test_strong_memory_is_unknown_and_nothing_besides(design, noise, seed):
     assert found.inside
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("design", "causes", "strength"),
     [
         ("session", ("thermal-warm-up", "end-stop-latency"), 16.0),
-        ("many", ("temperature", "q2-offset"), STRONG),
+        pytest.param("many", ("temperature", "q2-offset"), STRONG, marks=pytest.mark.nightly),
     ],
 )
 def test_two_causes_are_both_found(design, causes, strength):
