@@ -68,10 +68,10 @@ def test_every_reading_is_drawn_where_its_count_puts_it(turned, found):
         assert drawn(axis) == pytest.approx(np.sort(less), abs=1e-6)
 
 
-def test_figures_stand_only_where_there_are_answers(found, campaign, fitted):
+def test_figures_stand_only_where_there_are_answers(found, campaign, read_table):
     keys = [picture.key for picture in factor_pictures(3, found.factor_tests)]
     assert keys == ["day-3", "direction-3", "normal-force-3"]
-    one_day = analyze_variance(fitted(campaign(DAYS[:1], ROTATION)).log)
+    one_day = analyze_variance(read_table(campaign(DAYS[:1], ROTATION)))
     assert [picture.key for picture in factor_pictures(3, one_day.factor_tests)] == [
         "direction-3",
         "normal-force-3",
@@ -85,7 +85,7 @@ def test_a_log_that_answers_nothing_says_why(campaign, reported):
     assert "Factors of joint 3 (prismatic)" not in page.tables
 
 
-def test_of_many_sessions_the_latest_are_drawn_and_single_ones_not_listed(campaign, fitted):
+def test_of_many_sessions_the_latest_are_drawn_and_single_ones_not_listed(campaign, read_table):
     years = pd.concat(
         [
             campaign((f"2012-{month:02d}-{day:02d}",), ROTATION[:1], seed=31 * month + day)
@@ -93,15 +93,15 @@ def test_of_many_sessions_the_latest_are_drawn_and_single_ones_not_listed(campai
             for day in range(1, 9)
         ]
     )
-    part = factors_section(analyze_variance(fitted(years).log))
+    part = factors_section(analyze_variance(read_table(years)))
     (alone,) = [table for table in part.tables if table.caption.startswith("Factors of")]
     assert part.figures[0].caption.endswith("The latest 30 sessions.")
     assert {row[1] for row in alone.rows} == {"all"}
 
 
-def test_more_answers_than_a_table_has_room_for_are_counted(campaign, fitted):
+def test_more_answers_than_a_table_has_room_for_are_counted(campaign, read_table):
     days = tuple(f"2012-03-{day:02d}" for day in range(5, 14))
-    part = factors_section(analyze_variance(fitted(campaign(days, ROTATION)).log))
+    part = factors_section(analyze_variance(read_table(campaign(days, ROTATION))))
     (alone,) = [table for table in part.tables if table.caption.startswith("Factors of")]
     assert {row[1] for row in alone.rows} == {"all"}
     assert "Not shown: 27 answers within single sessions." in alone.note

@@ -99,7 +99,7 @@ def test_embedded_data_comes_back_and_cannot_end_its_element():
 def test_points_of_figures_are_the_traverses_they_say(campaign, fitted):
     """As high as the step size or its departure has it, and as many as drawn."""
     made = fitted(
-        campaign(("2012-03-05",), [each for each in CALIBRATION if each["joint"] > 1], replicates=3)
+        campaign(("2012-03-05",), [each for each in CALIBRATION if each["joint"] > 1], replicates=2)
     )
     rows = made.log.usable
     size = (rows["stop"] - rows["start"]).abs() / (rows["steps"] - 2.5)

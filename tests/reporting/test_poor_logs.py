@@ -59,12 +59,12 @@ def test_a_poor_log_is_reported_with_what_it_lacks(campaign, reported, name):
     assert said in reported(campaign(**how)).page.text
 
 
-def test_a_section_that_does_not_converge_says_which_computation_failed(campaign, reported, monkeypatch):
+def test_a_section_that_does_not_converge_says_which_computation_failed(campaign, read_table, monkeypatch):
     def fail(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
 
     monkeypatch.setattr(pipeline, "find_gross_errors", fail)
-    log = reported(campaign(settings=CALIBRATION_3)).log
+    log = read_table(campaign(settings=CALIBRATION_3))
     failed = (
         "stickslip_fit.diagnosis.pipeline.diagnose_problem did not converge (Eigenvalues did not converge)"
     )
