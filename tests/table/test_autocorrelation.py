@@ -123,7 +123,7 @@ def test_short_sessions_do_not_make_the_autocorrelation_too_small():
 def test_the_order_is_that_of_the_noise(kind, order):
     orders = []
     for seed in range(3):
-        rows = signal(np.random.default_rng(seed), kind, 1, 400)
+        rows = signal(np.random.default_rng(seed), kind, 1, 300)
         problem, _ = problem_from_table(rows, LAW, roles=TableRoles(**ROLES))
         orders.append(len(problem.with_autocorrelation().correlation))
     assert np.median(orders) == order

@@ -67,8 +67,8 @@ def test_intervals_cover_the_truth_under_autocorrelation():
     assert np.all(np.mean(inside, axis=0) > 0.89)
 
 
-def two_runs(seed=5):
-    first, second = bench(seed, difference=0.0), bench(seed + 1, difference=0.0)
+def two_runs(seed=5, n=300):
+    first, second = (bench(one, n, difference=0.0) for one in (seed, seed + 1))
     second = second.assign(F=second["F"] + 1.0, t=second["t"] + 100.0)
     return pd.concat([first.assign(run="a"), second.assign(run="b")], ignore_index=True)
 
@@ -151,7 +151,7 @@ def test_what_is_loaded_is_what_was_saved(named, saved):
 
 
 def test_generic_causes_and_sessions_are_saved(tmp_path):
-    frame = two_runs()
+    frame = two_runs(n=150)
     frame["F"] += 0.3 * (frame["t"] % 100.0) ** 2
     law = replace(LAW, units={**LAW.units, "t": "min"})
     diagnosis = ssf.diagnose_table(frame, law, session="run", time="t", position="q", gain=False)

@@ -169,7 +169,8 @@ def test_the_answer_says_which_way_is_which(rows, cells, note):
     ],
 )
 def test_the_answer_says_that_times_without_a_unit_count_as_seconds(rows, name, law, is_guess):
-    found = ssf.diagnose_table(rows.assign(**{name: 0.5 * np.arange(60)}), law, time=name, gain=False)
+    timed = rows.assign(**{name: 0.5 * np.arange(60)})
+    found = ssf.diagnose_table(timed, law, time=name, generic_causes=(), gain=False)
     note = "The times in when count as seconds, as neither the column's name nor the law gives a unit."
     assert found.table.notes == (note,) * is_guess
 

@@ -44,7 +44,8 @@ CASES = ("named", "independent", "nothing", "outlying", "unnamed")
 
 
 @pytest.mark.parametrize(
-    "case", [pytest.param(one, marks=[pytest.mark.nightly] * (one == "outlying")) for one in CASES]
+    "case",
+    [pytest.param(one, marks=[pytest.mark.nightly] * (one in ("outlying", "independent"))) for one in CASES],
 )
 def test_no_word_of_a_log_is_in_text_notebook_or_page(case, request):
     diagnosis = request.getfixturevalue(case)
@@ -107,11 +108,16 @@ def test_outliers_in_json_are_in_the_responses_unit(outlying):
     assert "+5." in str(outlying)
 
 
-def test_json_is_a_file_and_the_table_is_kept(named, file, tmp_path):
+@pytest.fixture(scope="module")
+def reported(named):
+    return ssf.report(named, command="stickslip-fit diagnose-table bench.csv")
+
+
+def test_json_is_a_file_and_the_table_is_kept(named, reported, file, tmp_path):
     save_diagnosis(named, tmp_path / "out.json")
     assert json.loads((tmp_path / "out.json").read_text("utf-8"))["verdict"] == "cause named"
     before = file.read_bytes()
-    for save in (lambda: save_diagnosis(named, file), lambda: ssf.report(named).save(file)):
+    for save in (lambda: save_diagnosis(named, file), lambda: reported.save(file)):
         with pytest.raises(ssf.InputError):
             save()
     assert file.read_bytes() == before
@@ -137,7 +143,7 @@ def test_a_response_of_any_size_has_sensible_digits():
     """The same in nanonewtons, but in newtons: no number is 0.000."""
     frame = bench(1)
     frame["F"] *= 1e-9
-    text = str(diagnosed(frame, gain=False))
+    text = str(ssf.diagnose_table(frame, LAW, causes=[BY_DIRECTION], generic_causes=(), gain=False))
     assert "×10⁻⁹" in text
     assert "0.000 " not in text
 
@@ -166,8 +172,8 @@ def test_the_residuals_figure_shows_the_finding_taken_away(named):
     assert mean_size(after) < 0.3 * mean_size(before)
 
 
-def test_the_page_has_the_law_the_evidence_and_what_could_not_be_tested(named):
-    page = ssf.report(named, command="stickslip-fit diagnose-table bench.csv").html
+def test_the_page_has_the_law_the_evidence_and_what_could_not_be_tested(reported):
+    page = reported.html
     for part in ('id="law"', 'id="evidence"', 'id="alternatives"', 'id="unseen"', "viscous-by-direction.dFv"):
         assert part in page
     assert page.count("<svg") >= 3
