@@ -44,15 +44,19 @@ COPIES = {
     "stickslip_fit.reporting.page.diagnose": "stickslip_fit.diagnosis.diagnose",
     "stickslip_fit.reporting.page.compare_strategies": "stickslip_fit.strategies.compare_strategies",
 }
-# By night: each of these fits or diagnoses logs that no other page has.
+# By night: each of these fits, diagnoses or drives what no other page does.
 LONG = (
     "a-law-of-your-own.md",
+    "add-a-cause.md",
+    "add-a-strategy.md",
     "calibrate-today.md",
     "capture.md",
     "compare-strategies.md",
+    "drive-by-hand.md",
     "extend-the-law.md",
     "laws-and-causes-as-formulas.md",
     "plan-the-next-experiment.md",
+    "simulate-a-stage.md",
     "which-law.md",
     "your-own-instrument.md",
     "your-own-manipulator.md",

@@ -1,13 +1,15 @@
 """What pages say in passing: options that exist, a citation to be read, the version of the package."""
 
 import re
+import shlex
 
 import pytest
 import yaml
 
 from stickslip_fit import __version__
 from tests.docs.commands import ROOT, all_options, lines, make_targets, parse
-from tests.docs.test_pages import PAGES
+from tests.docs.fences import fences
+from tests.docs.test_pages import LONG, PAGES
 
 OF_OTHERS = {"--help"}
 
@@ -21,6 +23,18 @@ def test_options_that_a_page_mentions_exist(page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_targets_of_make_that_a_page_mentions_exist(page):
     assert set(re.findall(r"`make ([a-z]+)", page.read_text("utf-8"))) <= make_targets()
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.name in LONG], ids=lambda page: page.name)
+def test_what_is_run_by_night_can_be_read(page):
+    for fence in fences(page):
+        if fence.language == "python":
+            compile(fence.text, str(page), "exec")
+        elif fence.language in ("sh", "console"):
+            commands = re.sub(r"^\$ ", "", fence.text, flags=re.MULTILINE)
+            for line in lines(commands, fence.line):
+                if line.text.startswith("stickslip-fit ") and "refused" not in fence.words:
+                    parse(shlex.split(line.text)[1:])
 
 
 def test_commands_that_stand_indented_in_other_readmes_can_be_parsed():

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 import warnings
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -23,24 +24,27 @@ from tests.studies.test_run import same
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 
 
-@pytest.fixture(scope="module")
-def cluster():
+@contextmanager
+def start_cluster(workers, processes=True):
     dask = pytest.importorskip("dask", reason="the extra dask is not installed")
     distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
     with (
         warnings.catch_warnings(action="ignore"),
         dask.config.set({"distributed.scheduler.allowed-failures": 1}),
         distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=processes,
+            dashboard_address=None,
+            silence_logs=50,
         ) as started,
     ):
         yield started
 
 
-@pytest.mark.nightly
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no signal that kills a worker")
 @pytest.mark.nightly
-def test_a_killed_worker_loses_nothing_and_counts_nothing_twice(cluster, study, tmp_path, monkeypatch):
+def test_a_killed_worker_loses_nothing_and_counts_nothing_twice(study, tmp_path, monkeypatch):
     monkeypatch.setattr(study_module, "CHUNK_CAMPAIGNS", 10)
     plan = study(campaigns=80)
     written, killed = [], []
@@ -57,20 +61,45 @@ def test_a_killed_worker_loses_nothing_and_counts_nothing_twice(cluster, study, 
         os.kill(killed[0], signal.SIGKILL)
 
     monkeypatch.setattr(ResultStore, "write", watched)
-    killer = threading.Thread(target=kill)
-    killer.start()
-    found = run_study(plan, tmp_path, Cluster(cluster.scheduler_address))
-    killer.join()
+    with start_cluster(2) as cluster:
+        killer = threading.Thread(target=kill)
+        killer.start()
+        found = run_study(plan, tmp_path, Cluster(cluster.scheduler_address))
+        killer.join()
     assert len(killed) == 1
     assert sorted(written) == list(range(0, 80, 10))
     same(found, run_study(plan, backend=Cores(1)))
 
 
-def test_a_chunk_that_kills_every_worker_is_named(cluster, study):
+class Deadly(study_module.Chunk):
+    """Ends as on a scheduler that has given up sending it to workers."""
+
+    def run(self):
+        from distributed import KilledWorker
+
+        raise KilledWorker("a chunk", SimpleNamespace(address="tcp://10.0.0.1:1"), 1)
+
+
+def test_a_worker_gives_what_a_core_gives_and_a_chunk_that_kills_it_is_named(study):
+    plan = study(campaigns=3)
+    deadly = Deadly(plan, None, Scenario("too much"), 0, 3)
+    with start_cluster(1, processes=False) as cluster:
+        backend = Cluster(cluster.scheduler_address)
+        same(run_study(plan, backend=backend), run_study(plan, backend=Cores(1)))
+        with pytest.raises(InputError, match=r"died one after the other on campaigns 0 to 2 of 'too much'"):
+            list(backend.run([deadly]))
+
+
+@pytest.mark.nightly
+def test_a_chunk_that_kills_every_worker_is_named(study):
+    """Also the one that takes the place of the first."""
     plan = study()
     end = SimpleNamespace(drives=partial(os._exit, 1), paths=None)
     deadly = study_module.Chunk(plan, end, Scenario("too much"), 0, 20)
-    with pytest.raises(InputError, match=r"died one after the other on campaigns 0 to 19 of 'too much'"):
+    with (
+        start_cluster(1) as cluster,
+        pytest.raises(InputError, match=r"died one after the other on campaigns 0 to 19 of 'too much'"),
+    ):
         list(Cluster(cluster.scheduler_address).run([deadly]))
 
 
