@@ -71,6 +71,7 @@ def test_hands_are_told_what_they_cannot_do(order, rig):
         order(rig)
 
 
+@pytest.mark.nightly
 def test_a_faulty_law_file_is_told(tmp_path):
     with pytest.raises(InputError, match=r"missing\.toml"), start_emulator(tmp_path / "missing.toml"):
         pass

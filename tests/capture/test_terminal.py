@@ -194,6 +194,8 @@ def test_a_key_that_comes_late_is_waited_for(window, monkeypatch):
     assert window.looks < 0
 
 
+# In each run tests/packaging/test_portability.py reads the imports of every file.
+@pytest.mark.nightly
 def test_capture_is_imported_where_there_is_no_termios():
     code = """
 import sys

@@ -24,6 +24,7 @@ joint = 3
 q2_deg = -90
 ranges_mm = [[0, 12], [2, 3]]
 """
+SHORT = PLAN.replace("[0, 12], ", "")
 ALONE = ("--emulate", "--ideal-detector", "--unattended")
 
 
@@ -32,6 +33,13 @@ def plan(tmp_path):
     path = tmp_path / "plan.toml"
     path.write_text(PLAN)
     return path
+
+
+@pytest.fixture
+def short(plan):
+    """Without the traverses over the whole guide."""
+    plan.write_text(SHORT)
+    return plan
 
 
 def test_an_emulated_campaign_is_what_simulate_makes_of_the_plan(run, plan, tmp_path):
@@ -49,20 +57,19 @@ def test_an_emulated_campaign_is_what_simulate_makes_of_the_plan(run, plan, tmp_
     assert captured["session"].tolist() == simulated["session"].tolist()
 
 
-def test_what_was_begun_is_not_begun_again_but_gone_on_with(run, refused, plan, tmp_path):
+def test_what_was_begun_is_not_begun_again_but_gone_on_with(run, refused, short, tmp_path):
     log = tmp_path / "log.csv"
-    assert run("capture", plan, "-o", log, *ALONE)[0] == 0
-    assert "--resume" in refused("capture", plan, "-o", log, *ALONE)
+    assert run("capture", short, "-o", log, *ALONE)[0] == 0
+    assert "--resume" in refused("capture", short, "-o", log, *ALONE)
     before = log.read_bytes()
-    assert run("capture", plan, "-o", log, "--resume", *ALONE)[0] == 0
+    assert run("capture", short, "-o", log, "--resume", *ALONE)[0] == 0
     assert log.read_bytes() == before
 
 
-def test_by_ear_the_stop_is_heard_within_two_checks(run, plan, tmp_path):
-    plan.write_text(PLAN.replace("[0, 12], ", ""))
+def test_by_ear_the_stop_is_heard_within_two_checks(run, short, tmp_path):
     logs = {ear: tmp_path / f"{ear}.csv" for ear in ("sound", "perfect")}
-    run("capture", plan, "-o", logs["perfect"], *ALONE)
-    status, said, _ = run("capture", plan, "-o", logs["sound"], "--emulate", "--unattended")
+    run("capture", short, "-o", logs["perfect"], *ALONE)
+    status, said, _ = run("capture", short, "-o", logs["sound"], "--emulate", "--unattended")
     assert status == 0
     assert "can be distinguished well" in said
     sound, perfect = (read_log(path).usable["steps"] for path in logs.values())
@@ -102,11 +109,11 @@ def test_a_campaign_that_recorded_nothing_fails(run, plan, tmp_path, monkeypatch
         assert not log.exists()
 
 
-def test_what_was_recorded_before_is_no_failure(run, plan, tmp_path, monkeypatch):
+def test_what_was_recorded_before_is_no_failure(run, short, tmp_path, monkeypatch):
     log = tmp_path / "log.csv"
-    assert run("capture", plan, "-o", log, *ALONE)[0] == 0
+    assert run("capture", short, "-o", log, *ALONE)[0] == 0
     monkeypatch.setattr(sys, "stdin", StringIO(""))
-    assert run("capture", plan, "-o", log, "--resume", "--emulate", "--ideal-detector")[0] == 0
+    assert run("capture", short, "-o", log, "--resume", "--emulate", "--ideal-detector")[0] == 0
 
 
 def test_a_tuning_that_would_miss_the_stops_is_refused_before_anything_else(refused, plan, tmp_path):
@@ -130,12 +137,12 @@ def test_tuning_at_a_rig_takes_a_terminal(refused, tmp_path, monkeypatch):
     )
 
 
-def test_conditions_given_beforehand_are_in_the_log(run, plan, tmp_path):
+def test_conditions_given_beforehand_are_in_the_log(run, short, tmp_path):
     log = tmp_path / "log.csv"
-    assert run("capture", plan, "-o", log, *ALONE, "--condition", "temperature_C=22.5")[0] == 0
+    assert run("capture", short, "-o", log, *ALONE, "--condition", "temperature_C=22.5")[0] == 0
     assert (read_log(log).rows["temperature"] == 295.65).all()
     status, _, said = run(
-        "capture", plan, "-o", tmp_path / "b.csv", *ALONE, "--condition", "temperature=22.5"
+        "capture", short, "-o", tmp_path / "b.csv", *ALONE, "--condition", "temperature=22.5"
     )
     assert (status, "has no unit" in said) == (2, True)
 

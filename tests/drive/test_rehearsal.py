@@ -16,9 +16,14 @@ def fitted():
     return ssf.fit(ssf.read_log("data/reference/campaign.csv"))
 
 
-def test_the_tip_goes_where_the_script_says(fitted):
+@pytest.fixture(scope="module")
+def trace(fitted):
+    """With advice as soon as the tip may be off by a micrometre."""
+    return ssf.rehearse_drive(fitted, START, LOOP, tolerance=1e-6)
+
+
+def test_the_tip_goes_where_the_script_says(trace):
     """Within a step of a rotary joint along each axis."""
-    trace = ssf.rehearse_drive(fitted, START, LOOP)
     table = trace.table
     moved = table[["x_mm", "y_mm", "z_mm"]].iloc[-1] - table[["x_mm", "y_mm", "z_mm"]].iloc[0]
     assert moved.to_numpy() == pytest.approx([0.16] * 3, abs=0.006)
@@ -59,8 +64,7 @@ def test_a_faulty_script_is_refused(fitted, script, said):
         ssf.rehearse_drive(fitted, START, script)
 
 
-def test_the_figure_has_the_moment_of_the_first_advice(fitted):
-    trace = ssf.rehearse_drive(fitted, START, LOOP, tolerance=1e-6)
+def test_the_figure_has_the_moment_of_the_first_advice(trace):
     first = trace.table["time_s"][trace.table["advice"] != ""].iloc[0]
     axis = np.ravel(trace.plot())[0]
     assert any(np.allclose(line.get_xdata(), first) for line in axis.lines)
