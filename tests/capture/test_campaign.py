@@ -281,7 +281,7 @@ def test_a_fault_of_the_detector_ends_the_drive(short):
     assert short.rows["status"].tolist() == ["interrupted"]
 
 
-@pytest.mark.parametrize("commands", [1, 2, 30, 501])
+@pytest.mark.parametrize("commands", [1, *(pytest.param(n, marks=pytest.mark.nightly) for n in (2, 30)), 501])
 def test_unplugged_in_mid_move_it_says_so_and_goes_on_later(short, commands):
     class Frail(Joints):
         left = commands
@@ -320,7 +320,7 @@ def test_what_the_controller_refuses_is_told_and_tried_again(short):
     assert_whole(short)
 
 
-@pytest.mark.parametrize("size", [100, 10_000, 20_000])
+@pytest.mark.parametrize("size", [100, 10_000, pytest.param(20_000, marks=pytest.mark.nightly)])
 def test_on_a_full_disk_nothing_acknowledged_is_lost(short, size):
     with disk_of(size), pytest.raises(InputError, match="make room"):
         short.run()
@@ -414,7 +414,7 @@ def test_two_captures_at_once_are_refused(short):
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork a capture that is killed")
-@pytest.mark.parametrize(("kills", "seed"), [(3, 1), pytest.param(200, 2, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(("kills", "seed"), [(2, 1), pytest.param(200, 2, marks=pytest.mark.nightly)])
 def test_killed_at_random_moments_it_loses_nothing(folder, kills, seed):
     program = [sys.executable, "-m", "tests.capture.killed", folder, str(kills), str(seed)]
     root = Path(__file__).parents[2]

@@ -56,7 +56,11 @@ def hidden(*names):
     return "".join(f'\n[[cause]]\nname = "{name}"\n{CAUSES[name]}\n' for name in names)
 
 
-@pytest.mark.parametrize("names", [(), [*CAUSES][:4], [*CAUSES][4:]], ids=", ".join)
+@pytest.mark.parametrize(
+    "names",
+    [pytest.param((), marks=pytest.mark.nightly), [*CAUSES][:4], [*CAUSES][4:]],
+    ids=", ".join,
+)
 def test_without_noise_it_counts_exactly_what_simulate_counts(names, tmp_path):
     truth = truth_of(tmp_path, hidden(*names))
     rows = simulate(plan_of(tmp_path, replicates=1), truth.laws, MACHINE).rows
@@ -77,7 +81,7 @@ def test_a_traverse_follows_the_one_before_it_and_not_its_own_beginning(tmp_path
     assert back > 0
 
 
-@pytest.mark.parametrize("kind", ["gaussian", "t5"])
+@pytest.mark.parametrize("kind", [pytest.param("gaussian", marks=pytest.mark.nightly), "t5"])
 def test_with_noise_the_counts_spread_about_simulates(kind, tmp_path):
     truth = truth_of(tmp_path, noise=0.02)
     truth = replace(truth, noise=replace(truth.noise, kind=kind))

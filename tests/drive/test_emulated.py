@@ -56,8 +56,11 @@ def drive_both(drive, manipulator, seed, bursts=100):
 @pytest.mark.parametrize(
     "name",
     [
-        *("nothing", "thermal-warm-up", "reversal-loss"),
-        *(pytest.param(name, marks=pytest.mark.nightly) for name in ("drift", "wear", "load-hysteresis")),
+        *("thermal-warm-up", "reversal-loss"),
+        *(
+            pytest.param(name, marks=pytest.mark.nightly)
+            for name in ("nothing", "drift", "wear", "load-hysteresis")
+        ),
     ],
 )
 def test_it_is_where_the_manipulator_is(arm, name):

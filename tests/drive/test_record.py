@@ -136,7 +136,7 @@ def test_what_is_not_there_or_empty_cannot_be_resumed(arm, journal):
     resume_record(journal, arm)[0].close()
 
 
-@pytest.mark.parametrize("kills", [6, pytest.param(50, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("kills", [3, pytest.param(50, marks=pytest.mark.nightly)])
 def test_killed_at_random_the_joints_are_where_the_journal_says(tmp_path, kills):
     program = [sys.executable, "-m", "tests.drive.killed", str(tmp_path), str(kills), "5"]
     done = subprocess.run(program, capture_output=True, text=True, check=False)

@@ -41,26 +41,40 @@ def succeeded(found: Minimum) -> bool:
 
 
 @pytest.fixture(scope="module")
-def solved():
+def problems():
     problems = [read(path) for path in FILES]
     assert len(problems) == 27
-    return [(problem, [solve(problem, start) for start in (0, 1)]) for problem in problems]
+    return problems
 
 
-def test_every_problem_is_solved_from_the_second_start(solved):
-    for problem, (_, found) in solved:
+def test_every_problem_is_solved_from_the_second_start(problems):
+    for problem in problems:
+        found = solve(problem, 1)
         assert succeeded(found), problem.name
         assert digits(found.values[0], problem.certified) >= DIGITS, problem.name
         if problem.name not in WITHOUT_ERRORS:
             assert digits(standard_errors(problem, found), problem.errors) >= ERROR_DIGITS, problem.name
 
 
-def test_at_most_two_fail_from_the_first_start_and_none_in_silence(solved):
-    right = {problem.name: succeeded(found) for problem, (found, _) in solved}
-    assert sum(right.values()) >= 25, right
-    for problem, (found, _) in solved:
-        if right[problem.name]:
-            assert digits(found.values[0], problem.certified) >= DIGITS, problem.name
+# From the first start these take longer than all others together.
+SLOW = {"Bennett5", "ENSO", "Lanczos1", "Lanczos2", "Lanczos3", "MGH09", "MGH10", "MGH17"}
+
+
+@pytest.mark.parametrize(
+    ("left_out", "most"),
+    [
+        pytest.param(SLOW, 1, id="quick"),
+        pytest.param(set(), 2, id="all", marks=pytest.mark.nightly),
+    ],
+)
+def test_at_most_two_fail_from_the_first_start_and_none_in_silence(problems, left_out, most):
+    found = {problem.name: solve(problem, 0) for problem in problems if problem.name not in left_out}
+    assert len(found) == 27 - len(left_out)
+    right = {name: succeeded(one) for name, one in found.items()}
+    assert sum(right.values()) >= len(found) - most, right
+    for problem in problems:
+        if right.get(problem.name):
+            assert digits(found[problem.name].values[0], problem.certified) >= DIGITS, problem.name
 
 
 # Of many local minima, which a search from 1 ends in, or of parameters that have no effect there.
