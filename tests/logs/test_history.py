@@ -193,7 +193,7 @@ def test_history_of_a_real_campaign(tmp_path):
     path = SHARED / "data" / "campaigns" / "campaign-d.csv"
     if not path.exists():
         pytest.skip("the campaigns that come beside this checkout are not there")
-    assert_history(read_log(path).rows.head(300))
+    assert_history(read_log(path).rows.head(150))
 
 
 def test_the_order_of_rows_in_the_file_means_nothing(read):

@@ -186,10 +186,11 @@ def test_d_three_ways_recovers_the_truth(campaign, fitted):
         assert row["quadratic"] == pytest.approx(3.41 * x**2 + 0.025 * x + 6.42e-7)
 
 
-def test_d_s_error_bar_is_its_scatter(campaign, fitted):
-    """Over a hundred sessions of one repeatability; the ratio itself is known to 9 %."""
+@pytest.mark.parametrize("months", [2, pytest.param(4, marks=pytest.mark.nightly)])
+def test_d_s_error_bar_is_its_scatter(campaign, fitted, months):
+    """Over fifty sessions of one repeatability the ratio itself is known to 12 %, over a hundred to 9 %."""
     settings = ({"joint": 2, "q3_mm": 6.0}, {"joint": 2, "q3_mm": 6.0, "theta_deg": -90.0})
-    days = tuple(f"2012-{month:02d}-{day:02d}" for month in range(1, 5) for day in range(1, 26))
+    days = tuple(f"2012-{month:02d}-{day:02d}" for month in range(1, months + 1) for day in range(1, 26))
     found = fitted(campaign(days, settings, seed=2))
     table = tabulate_load_coefficients(found.log, found.calibration, found.fit)
     for _, subset in table.groupby("direction"):
