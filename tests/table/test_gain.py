@@ -61,7 +61,7 @@ def test_with_nothing_wrong_nothing_is_gained(nothing):
 
 
 def test_groups_are_held_out_as_a_whole():
-    frame = bench(1).assign(specimen=np.repeat(list("abcdef"), 50))
+    frame = bench(1, n=180).assign(specimen=np.repeat(list("abcdef"), 30))
     diagnosis = ssf.diagnose_table(
         frame, LAW, group="specimen", causes=[BY_DIRECTION, CUBIC], generic_causes=()
     )

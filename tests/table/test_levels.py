@@ -158,9 +158,11 @@ def test_derivatives_are_those_of_differences(version):
     np.testing.assert_allclose(extended.jacobian(rows, values), numeric, rtol=1e-5, atol=1e-7)
 
 
-def test_texts_that_do_nothing_are_not_named():
-    alarms = [ssf.diagnose_table(table(seed, n=60), LINE, gain=False).verdict for seed in range(10, 18)]
-    assert alarms.count("nothing wrong") >= 7
+@pytest.mark.parametrize(("number", "least"), [(4, 4), pytest.param(8, 7, marks=pytest.mark.nightly)])
+def test_texts_that_do_nothing_are_not_named(number, least):
+    seeds = range(10, 10 + number)
+    verdicts = [ssf.diagnose_table(table(seed, n=60), LINE, gain=False).verdict for seed in seeds]
+    assert verdicts.count("nothing wrong") >= least
 
 
 @pytest.mark.nightly

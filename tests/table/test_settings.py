@@ -62,7 +62,7 @@ def test_a_law_with_offsets_by_setting_is_saved_and_is_itself_at_other_settings(
     assert predicted[2] - predicted[1] == pytest.approx(predicted[1] - predicted[0])
 
 
-@pytest.mark.parametrize("number", [10, pytest.param(200, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("number", [5, pytest.param(200, marks=pytest.mark.nightly)])
 def test_replicates_of_a_right_law_raise_no_more_alarms_than_promised(number):
     alarms = 0
     for seed in range(number):

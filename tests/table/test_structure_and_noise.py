@@ -160,11 +160,12 @@ def test_what_a_law_lacks_in_each_session_in_its_own_way_is_no_noise_that_persis
     assert np.std(loaded.predict(frame)["predicted"] - frame["y"]) == pytest.approx(fit.rms, rel=0.01)
 
 
-def test_noise_that_persists_is_no_course_of_each_session():
+@pytest.mark.parametrize("number", [1, pytest.param(3, marks=pytest.mark.nightly)])
+def test_noise_that_persists_is_no_course_of_each_session(number):
     def wander(rng, n):
         return lfilter([1.0], [1.0, -0.97], 0.05 * rng.standard_normal(n + 300))[300:]
 
-    for seed in range(2):
+    for seed in range(number):
         frame = falls(np.random.default_rng(seed), (0.0,) * 4, wander)
         assert not ssf.diagnose_table(frame, "y ~ a + b*t", session="run", time="t", gain=False).findings
 

@@ -26,14 +26,14 @@ def visible(page):
 
 @pytest.fixture(scope="session")
 def outlying():
-    frame = bench(2)
-    frame.loc[[50, 200], "F"] += 5.0
+    frame = bench(2, n=200)
+    frame.loc[[50, 150], "F"] += 5.0
     return diagnosed(frame, gain=False)
 
 
 @pytest.fixture(scope="session")
 def unnamed():
-    frame = bench(2, difference=0.0)
+    frame = bench(2, n=200, difference=0.0)
     frame["F"] += 0.5 * np.sin(8 * frame["q"] / 0.1)
     return ssf.diagnose_table(
         frame, LAW, position="q", causes=[BY_DIRECTION, CUBIC], generic_causes=(), gain=False
@@ -104,7 +104,7 @@ def test_outliers_in_json_are_in_the_responses_unit(outlying):
     sizes = {one["name"]: one for one in diagnosis_to_json(outlying)["findings"][0]["parameters"]}
     assert sizes["size"]["unit"] == "N"
     assert sizes["size"]["estimate"] == pytest.approx(5.0, abs=0.7)
-    assert sizes["share"]["estimate"] == pytest.approx(100 * 2 / 300)
+    assert sizes["share"]["estimate"] == pytest.approx(100 * 2 / 200)
     assert "+5." in str(outlying)
 
 
