@@ -15,13 +15,13 @@ def verdicts(values, time, level, block, name):
     return next(each.outcome for each in check_assumptions(values, time, level, block) if each.name == name)
 
 
-def rates(draw, level, block, time):
+def rates(draw, level, block, time, logs=LOGS):
     """How often each premise is doubted."""
     rng, doubted = np.random.default_rng(1), Counter()
-    for _ in range(LOGS):
+    for _ in range(logs):
         checks = check_assumptions(draw(rng), time, level, block)
         doubted.update(each.name for each in checks if each.outcome == "doubtful")
-    return {each.name: doubted[each.name] / LOGS for each in checks}
+    return {each.name: doubted[each.name] / logs for each in checks}
 
 
 @pytest.fixture
@@ -45,9 +45,9 @@ def test_premises_that_fail_are_doubted(design):
     misheard = 8.0 * (np.arange(24) == 5)
     days = (block, block, time)
     loud = np.where(block == 0, 10.0, 1.0)
-    wild = rates(lambda rng: misheard + rng.standard_normal(24), *design)["normal scatter"]
-    unequal = rates(lambda rng: loud * rng.standard_normal(24), *days)["equal scatter"]
-    drifting = rates(lambda rng: time / 300.0 + rng.standard_normal(24), *design)
+    wild = rates(lambda rng: misheard + rng.standard_normal(24), *design, 40)["normal scatter"]
+    unequal = rates(lambda rng: loud * rng.standard_normal(24), *days, 40)["equal scatter"]
+    drifting = rates(lambda rng: time / 300.0 + rng.standard_normal(24), *design, 40)
     assert min(wild, unequal, drifting["drift within a session"]) > 0.7
 
 

@@ -96,10 +96,14 @@ def check(errors, truth):
 
 
 @pytest.mark.parametrize(
-    ("kind", "uneven"), [pytest.param("gaussian", False, marks=pytest.mark.nightly), ("t5", True)]
+    ("kind", "uneven", "sessions"),
+    [
+        ("t5", True, 40),
+        *(pytest.param(*one, 80, marks=pytest.mark.nightly) for one in (("gaussian", False), ("t5", True))),
+    ],
 )
-def test_intervals_over_configurations_cover(kind, uneven):
-    check(*simulated(80, 40, 1, kind, uneven))
+def test_intervals_over_configurations_cover(kind, uneven, sessions):
+    check(*simulated(sessions, 40, 1, kind, uneven))
 
 
 @pytest.mark.nightly
