@@ -9,6 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from tests.conftest import CALIBRATION
 from tests.docs.commands import parse
 
 ROOT = Path(__file__).parents[1]
@@ -37,7 +38,7 @@ SWEEP = (
 @pytest.fixture
 def log(campaign, tmp_path):
     path = tmp_path / "log.csv"
-    campaign().to_csv(path, index=False)
+    campaign(settings=CALIBRATION).to_csv(path, index=False)
     return path
 
 
@@ -166,7 +167,7 @@ def test_predict_from_a_log_takes_the_session_that_is_named(run, log, tmp_path):
 
 
 def test_bayes_tells_its_checks_and_keeps_its_draws(run, campaign, tmp_path):
-    table = campaign(settings=({"joint": 3, "q2_deg": 0.0}, *SWEEP))
+    table = campaign(settings=({"joint": 3, "q2_deg": 0.0}, *SWEEP), directions=("+",))
     table.to_csv(tmp_path / "log.csv", index=False)
     status, out, _ = run(
         "fit", tmp_path / "log.csv", "--method", "bayes", "--tree", tmp_path / "fit.nc", "--full"
@@ -174,7 +175,7 @@ def test_bayes_tells_its_checks_and_keeps_its_draws(run, campaign, tmp_path):
     assert status == 0
     assert re.search(r"^3 \+ +0\.\d\d +0\.\d\d +0\.\d\d +-?\d+\.\d ± ", out, re.M)
     assert "The counts look like the model's own." in out
-    (tmp_path / "plan.toml").write_text(PLAN.split("[[sweep]]\njoint = 2")[0])
+    (tmp_path / "plan.toml").write_text(PLAN.split("[[sweep]]\njoint = 2")[0] + 'directions = ["+"]\n')
     status, out, _ = run("predict", tmp_path / "fit.nc", tmp_path / "plan.toml")
     assert status == 0
     assert "by the calibration of a session to come" in out
