@@ -155,7 +155,7 @@ def test_where_moves_are_refused_what_gives_the_steps_of_drives_is_named(make):
     assert predicted["steps"].item() == pytest.approx(5.0 / STEPS["prismatic"]["+"], rel=0.03)
 
 
-@pytest.mark.parametrize("name", ["one slide", "two turns"])
+@pytest.mark.parametrize("name", [pytest.param("one slide", marks=pytest.mark.nightly), "two turns"])
 def test_a_joint_that_has_changed_is_named_on_any_machine(make, tmp_path, name):
     machine, old = make(name, sessions=3)
     lines = (tmp_path / "log.csv").read_text(encoding="utf-8").splitlines()

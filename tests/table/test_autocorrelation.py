@@ -138,6 +138,8 @@ def test_only_a_regular_sequence_is_a_sampled_signal():
     np.testing.assert_array_equal(number_samples(jitter, np.zeros(200, int)), np.arange(200))
 
 
+# In each run test_gain.py and test_text.py have these numbers of the bench.
+@pytest.mark.nightly
 def test_a_diagnosis_says_how_many_independent_values_there_are():
     rows = signal(np.random.default_rng(2), "0.9", 1, 600)
     table = ssf.diagnose_table(rows, LAW, **ROLES, gain=False).table

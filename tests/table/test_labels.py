@@ -128,6 +128,8 @@ def test_every_label_stays_in_training(number, rows, correlation_rows):
         assert frame["lot"].iloc[fold.train].nunique() == number
 
 
+# In each run test_gain.py holds out whole groups.
+@pytest.mark.nightly
 def test_labels_of_whole_groups_are_held_out_where_that_is_asked_for():
     rng = np.random.default_rng(1)
     day = np.repeat(np.arange(24), 5)

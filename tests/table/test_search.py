@@ -168,7 +168,7 @@ def test_a_table_of_mostly_zeros_has_an_answer():
 def test_the_unit_of_the_response_does_not_matter(factor):
     rows, _ = with_effect(signal(np.random.default_rng(8), "white", 1, 80), "white", "drift", 14.0)
     first, second = (
-        ssf.diagnose_table(table, LAW, **ROLES, gain=False)
+        ssf.diagnose_table(table, LAW, time="t", gain=False)
         for table in (rows, rows.assign(F=factor * rows["F"]))
     )
     assert first.p_value == second.p_value

@@ -43,7 +43,9 @@ def test_a_curve_beyond_a_line_is_no_noise_that_persists():
     assert found.repeatability == pytest.approx(0.002, rel=0.3)
 
 
-@pytest.mark.parametrize("cycles", [*(pytest.param(k, marks=pytest.mark.nightly) for k in (3, 5)), 20])
+# In each run a fast wave is found in slow noise, and a slow one at uneven times.
+@pytest.mark.nightly
+@pytest.mark.parametrize("cycles", [3, 5, 20])
 def test_a_few_cycles_are_a_period(cycles):
     t = np.arange(200.0)
     y = np.sin(2 * np.pi * t * cycles / 200) + 0.1 * np.random.default_rng(cycles).standard_normal(200)
@@ -106,8 +108,8 @@ def flicker(rng, n):
 @pytest.mark.parametrize(
     ("seeds", "rate"),
     [
-        ((309, 321), 0.0),
-        pytest.param((323,), 0.0, marks=pytest.mark.nightly),
+        ((309,), 0.0),
+        pytest.param((321, 323), 0.0, marks=pytest.mark.nightly),
         pytest.param(range(400, 500), 0.15, marks=pytest.mark.nightly),
     ],
 )
