@@ -106,7 +106,8 @@ class Hypothesis:
     def largest_row_share(self) -> float:
         """The largest share of the effect's prior variance that a single row has."""
         if len(self.blocks) == 1:
-            return float((self.blocks[0][1] ** 2 @ self.prior_share).max(initial=0.0))
+            squares = np.square(self.blocks[0][1])
+            return float((squares @ self.prior_share if squares.shape[1] > 1 else squares).max(initial=0.0))
         variance, first = np.zeros(self.n), 0
         for rows, block in self.blocks:
             variance[rows] += block**2 @ self.prior_share[first : first + block.shape[1]]

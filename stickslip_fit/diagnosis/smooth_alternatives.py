@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import batched, combinations
+from math import sqrt
 
 import numpy as np
 
@@ -480,12 +481,19 @@ class _Builder:
             return None
         if self.is_coupled(version, known):
             return self.couple(f"unknown:{name}", version, known, sign)
-        variance = np.concatenate([part.variance for part in known])
-        blocks = tuple((part.rows, part.directions) for part in known)
-        length, share = float(np.sqrt(variance.sum())), variance / variance.sum()
+        variance = known[0].variance if len(known) == 1 else np.concatenate([one.variance for one in known])
+        blocks, total = tuple((part.rows, part.directions) for part in known), float(variance.sum())
         n, shared = len(self.linearized), self.linearized.shared
         return Hypothesis(
-            f"unknown:{name}", version, None, n, blocks, share, length, sign=sign, shared=shared
+            f"unknown:{name}",
+            version,
+            None,
+            n,
+            blocks,
+            variance / total,
+            sqrt(total),
+            sign=sign,
+            shared=shared,
         )
 
     def is_coupled(self, version: SmoothTerm, parts: Sequence[_Subspace]) -> bool:
