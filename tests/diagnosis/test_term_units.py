@@ -62,6 +62,10 @@ def shown_values(row, machine):
         values[f"other travels in {minutes} min"] = row[f"other_use_{minutes}min"]
         values[f"net travels in {minutes} min"] = row[f"net_use_{minutes}min"]
         values[f"own net travels in {minutes} min"] = row[f"joint_net_use_{minutes}min"]
+    for column in ("temperature", "humidity", "supply", "step_period", "payload"):
+        for minutes in (10, 40):
+            changed = row.get(f"{column}_change_{minutes}min", np.nan) * scale.get(column, 1.0)
+            values[f"{column.replace('_', ' ')} change in {minutes} min"] = changed
     for minutes in (10, 20, 40, 80):
         values[f"temperature {minutes}min"] = row[f"temperature_{minutes}min"] - 273.15
     if "q2" in values:
