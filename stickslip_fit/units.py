@@ -215,6 +215,17 @@ def to_si[Number: (float, np.ndarray)](value: Number, symbol: str) -> Number:
     return value * unit.numerator / unit.denominator + unit.offset
 
 
+def unit_of_difference(symbol: str) -> str:
+    """The unit of a difference of values in a unit: degrees Celsius are apart by kelvins.
+
+    Examples
+    --------
+    >>> unit_of_difference("°C"), unit_of_difference("ms")
+    ('K', 'ms')
+    """
+    return "K" if symbol == "°C" else symbol
+
+
 def from_si[Number: (float, np.ndarray)](value: Number, symbol: str) -> Number:
     """Convert an SI value to the unit `symbol`; the inverse of `to_si`.
 

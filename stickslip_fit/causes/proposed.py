@@ -24,7 +24,7 @@ from stickslip_fit.causes.smooth import LinearFactor, LogLinearFactor, cosines, 
 from stickslip_fit.laws import State, StepLaw, state_at
 from stickslip_fit.logs.history import CHANGES, JOINT_NET_USE, JOINT_USE, NET_USE, OTHER_USE, PAUSES, USE
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
-from stickslip_fit.units import COORDINATE_UNITS, from_si, share_per
+from stickslip_fit.units import COORDINATE_UNITS, from_si, share_per, unit_of_difference
 
 ANGLES = ("q1", "q2", "q3", "theta", "psi")  # the joint's own excepted, which is the position
 POSITION, LOAD, BEFORE_DIRECTION = "position", "load", "before_direction"
@@ -459,7 +459,7 @@ class CarrierFunction:
         name = self.carrier.removeprefix(COVARIATE_PREFIX) if ":" in self.carrier else name
         if self.is_plain:
             return write_expression(self.expression, name)
-        apart = "K" if self.shown == "°C" else self.shown
+        apart = unit_of_difference(self.shown)
         middle = from_si(self.middle, self.shown) if self.middle and self.shown else self.middle
         unit = from_si(self.unit, apart) if self.shown else self.unit
         return write_expression(self.expression, write_quotient(name, middle, unit, self.shown, apart))

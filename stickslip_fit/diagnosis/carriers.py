@@ -23,14 +23,13 @@ from stickslip_fit.causes.proposed import (
 from stickslip_fit.causes.smooth import cosine_sequence, cosines, prior_sds
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.laws import State, state_at
-from stickslip_fit.logs.history import CHANGES, FURTHER_HISTORY, LATE_TEMPERATURE, condition_of
+from stickslip_fit.logs.history import FURTHER_HISTORY, PAST, condition_of
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, position_columns
 
 LENGTHS = (0.25, 0.1)  # correlation lengths of functions of a carrier, of its range
 BEYOND = 0.15  # of a range of positions, by which that of its functions is wider on either side
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)  # of a carrier along a traverse
 HISTORY = ("session_seconds", "steps_before", "before_load", BEFORE_DIRECTION)
-PAST = {*LATE_TEMPERATURE, *CHANGES}
 FURTHER_OF_TRAVERSE = tuple(name for name in FURTHER_HISTORY if name != "session_order")
 # Correlation, above which a condition's past would only stand beside the condition as its rival.
 MAX_LIKE_CONDITION = 0.95

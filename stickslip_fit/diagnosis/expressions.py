@@ -32,7 +32,7 @@ from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.smooth_alternatives import MIN_SHARE, interact
 from stickslip_fit.logs.history import unit_of
 from stickslip_fit.logs.schema import is_coordinate
-from stickslip_fit.units import from_si, to_si
+from stickslip_fit.units import from_si, to_si, unit_of_difference
 
 # A label, another clock, and what has another unit in each joint.
 WITHOUT_EXPRESSION = ("before_joint", "session_order", LENGTH)
@@ -231,7 +231,7 @@ def _functions(carrier: Carrier, machine: JointKinds) -> Iterator[CarrierFunctio
             yield CarrierFunction(expression, name, 0.0, 1.0 if is_time else unit, shown)
     else:
         shown = unit_of(name)
-        apart = "K" if shown == "°C" else shown
+        apart = unit_of_difference(shown)
         unit = _round((carrier.high - carrier.low) / 2, apart)
         middle = _round(float(np.nanmean(carrier.values)), shown, _from_si(unit, apart))
         yield from (CarrierFunction(expression, name, middle, unit, shown) for expression in plain)

@@ -48,11 +48,11 @@ from stickslip_fit.diagnosis.hypotheses import (
     make_hypothesis,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.logs.history import CHANGES, FURTHER_HISTORY, JOINT_NET_USE, LATE_TEMPERATURE, NET_USE
+from stickslip_fit.logs.history import FURTHER_HISTORY, JOINT_NET_USE, NET_USE, PAST
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
 
 # With which a load or a column of the log may count more or less.
-ALONE = ("before_joint", *NET_USE, *JOINT_NET_USE, *LATE_TEMPERATURE, *CHANGES)
+ALONE = ("before_joint", *NET_USE, *JOINT_NET_USE, *PAST)
 WITH_PRODUCTS = tuple(name for name in FURTHER_OF_TRAVERSE if name not in ALONE)
 MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below which it is left out
 MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out

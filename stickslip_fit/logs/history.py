@@ -12,6 +12,7 @@ from stickslip_fit._typing import Array, Int64Array
 from stickslip_fit.logs._table import label_codes, run_in_threads
 from stickslip_fit.logs.schema import CONDITIONS
 from stickslip_fit.machine import Machine, load_machine, mean_load
+from stickslip_fit.units import unit_of_difference
 
 # What was driven not long ago: of any joint, of the same joint and of the others, and s in which it is
 # forgotten.
@@ -30,6 +31,7 @@ CHANGES = {
     for condition in CONDITIONS
     for minutes in (10, 40)
 }
+PAST = (*LATE_TEMPERATURE, *CHANGES)  # what conditions were, which follows from their course
 # Times since something, s.
 PAUSES = ("pause", "joint_pause", "other_pause", "tilt_age")
 # History on which no published cause depends.
@@ -39,8 +41,7 @@ FURTHER_HISTORY = (
     *RECENT_USE,
     *NET_USE,
     *JOINT_NET_USE,
-    *LATE_TEMPERATURE,
-    *CHANGES,
+    *PAST,
 )
 NEGLIGIBLE_USE = 1e-9  # share of what was driven
 # What the step size of the traverse before had beyond its law, and the time since that traverse.
@@ -64,7 +65,7 @@ def unit_of(column: str) -> str:
     """
     condition = CONDITIONS.get(condition_of(column))
     unit = condition.unit if condition is not None else ""
-    return "K" if unit == "°C" and column in CHANGES else unit
+    return unit_of_difference(unit) if column in CHANGES else unit
 
 
 def add_history(rows: pd.DataFrame) -> pd.DataFrame:

@@ -16,7 +16,7 @@ from stickslip_fit.estimation import Result
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs import drives
 from stickslip_fit.logs._files import SourcePath
-from stickslip_fit.logs.history import CHANGES, LATE_TEMPERATURE
+from stickslip_fit.logs.history import CHANGES, PAST, condition_of
 from stickslip_fit.logs.schema import COVARIATE_PREFIX, ORIENTATION, is_coordinate
 from stickslip_fit.machine import Machine
 from stickslip_fit.moves.arm import CONDITION_KEYS, check_given_conditions, column_key
@@ -108,11 +108,11 @@ def fill_conditions(rows: pd.DataFrame, conditions: Mapping[str, float]) -> pd.D
     for name, value in conditions.items():
         known = rows[name] if name in rows else pd.Series(np.nan, rows.index)
         rows = rows.assign(**{name: known.fillna(value)})
-    if "temperature" in conditions:  # of a room that keeps it
-        late = {name: rows[name].fillna(rows["temperature"]) for name in LATE_TEMPERATURE if name in rows}
-        rows = rows.assign(**late)
-    steady = [name for name, (condition, _) in CHANGES.items() if condition in conditions and name in rows]
-    return rows.assign(**{name: rows[name].fillna(0.0) for name in steady})
+    # A condition that is given has been so for long.
+    for name in (name for name in PAST if condition_of(name) in conditions):
+        known = rows[name] if name in rows else pd.Series(np.nan, rows.index)
+        rows = rows.assign(**{name: known.fillna(0.0 if name in CHANGES else rows[condition_of(name)])})
+    return rows
 
 
 def one_drive(

@@ -33,7 +33,7 @@ from stickslip_fit.simulation.schedule import (
 from stickslip_fit.simulation.stage_law import MountedStage
 from stickslip_fit.step import Stage
 from stickslip_fit.step.stage_file import read_stage
-from stickslip_fit.units import JOINTS, PRISMATIC, SUFFIXES, UNITS, to_si
+from stickslip_fit.units import JOINTS, PRISMATIC, SUFFIXES, UNITS, to_si, unit_of_difference
 
 MAX_DAY_TO_DAY = 0.2  # beyond, a session's step sizes might come out negative
 DayToDay = Annotated[float, Quantity(("%",), (0.0, MAX_DAY_TO_DAY))]
@@ -100,7 +100,7 @@ class ColumnOfLog:
     def parse(self, amount: tuple[float, str], is_difference: bool = False) -> float | None:
         """SI value of an amount; None in another unit than the column's."""
         number, unit = amount
-        wanted = "K" if is_difference and self.unit == "°C" else self.unit
+        wanted = unit_of_difference(self.unit) if is_difference else self.unit
         alike = {"s": ("s", "ms"), "ms": ("s", "ms"), "g": ("g", "kg"), "kg": ("g", "kg")}
         return to_si(number, unit) if unit in alike.get(wanted, (wanted,)) else None
 
@@ -206,7 +206,7 @@ class ScheduleTable(TomlTable):
 
 
 def _example(column: ColumnOfLog, is_difference: bool) -> str:
-    unit = "K" if is_difference and column.unit == "°C" else column.unit
+    unit = unit_of_difference(column.unit) if is_difference else column.unit
     return "10" if unit == "1" else f'"10 {unit}"'
 
 

@@ -8,9 +8,7 @@ import stickslip_fit as ssf
 from stickslip_fit.laws import state_at
 from tests.hidden.physics import FULL
 from tests.hidden.places import draw_profile, write_profile_log
-
-# Of a lab, which act on nothing here: each has many functions that would be tried.
-LAB_COLUMNS = ["temperature_C", "humidity_pct", "supply_V", "air_pressure_hPa", "operator_load"]
+from tests.hidden.reading import drop_lab_columns
 
 
 def diagnose_profile(tmp_path, joint, by_direction, seed, rms):
@@ -18,7 +16,7 @@ def diagnose_profile(tmp_path, joint, by_direction, seed, rms):
     profile = draw_profile(np.random.default_rng(seed), rms, by_direction)
     path = tmp_path / "log.csv"
     write_profile_log(path, joint, profile, seed=seed)
-    pd.read_csv(path).drop(columns=LAB_COLUMNS, errors="ignore").to_csv(path, index=False)
+    drop_lab_columns(pd.read_csv(path)).to_csv(path, index=False)
     log = ssf.read_log(path)
     return profile, ssf.diagnose(log.select(log.rows["joint"] == joint), gain=False)
 

@@ -13,17 +13,16 @@ from stickslip_fit.estimation import load_result
 from stickslip_fit.logs import read_log
 from stickslip_fit.logs.history import add_departures
 from tests.hidden.outside import OutsideCase, baseline, rms, true_form
-from tests.hidden.reading import read_hidden
+from tests.hidden.reading import drop_lab_columns, read_hidden
 
 CASE = OutsideCase("unknown:history", "residual before, one way", "session", "gaussian", 12.0, 100)
-LAB_COLUMNS = ["temperature_C", "supply_V", "air_pressure_hPa"]
 
 
 @pytest.fixture(scope="module")
 def hidden():
     """A log and a replicate of it, as they are hidden, without columns that act on nothing."""
     made = (CASE.make(), CASE.make(replicate=1))
-    return [replace(one, table=one.table.drop(columns=LAB_COLUMNS)) for one in made]
+    return [replace(one, table=drop_lab_columns(one.table)) for one in made]
 
 
 @pytest.fixture(scope="module")

@@ -11,18 +11,17 @@ from stickslip_fit.diagnosis.effect_interval import fit_beside, linearize_unweig
 from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.hypotheses import compute_changes
 from tests.hidden.generate import hide
-from tests.hidden.reading import read_hidden
+from tests.hidden.reading import drop_lab_columns, read_hidden
 from tests.hidden.study import Case, make
 
 WARM_UP, HIDDEN = "thermal-warm-up", "unknown:product"
 RIVALS = ("drift", "wear", "session-jump")
-LAB_COLUMNS = ["temperature_C", "supply_V", "air_pressure_hPa"]  # which act on nothing here
 
 
 def hide_both(strengths):
     forms = {WARM_UP: "table", HIDDEN: "load and hours"}
     hidden = hide("session", (WARM_UP, HIDDEN), strengths, seed=0, forms=forms)
-    return replace(hidden, table=hidden.table.drop(columns=LAB_COLUMNS))
+    return replace(hidden, table=drop_lab_columns(hidden.table))
 
 
 @pytest.fixture(

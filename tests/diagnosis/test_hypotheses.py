@@ -27,7 +27,7 @@ from stickslip_fit.diagnosis.misfit import (
 )
 from stickslip_fit.diagnosis.problem import problem_from_log
 from tests.hidden.generate import hide
-from tests.hidden.reading import read_hidden
+from tests.hidden.reading import drop_lab_columns, read_hidden
 
 
 def extend(hidden, name, joints=(1, 2, 3)):
@@ -88,9 +88,7 @@ def test_directions_have_length_1_and_none_is_of_the_calibration(design):
 
 def test_a_jump_in_one_session_is_no_uneven_noise():
     hidden = hide("many", ("psi-offset", "session-jump"), 14.0, "t5", seed=15)
-    # What a lab writes down beside acts on nothing here, and has many functions that would be tried.
-    columns = ["temperature_C", "humidity_pct", "supply_V", "air_pressure_hPa", "operator_load"]
-    bare = replace(hidden, table=hidden.table.drop(columns=columns, errors="ignore"))
+    bare = replace(hidden, table=drop_lab_columns(hidden.table))
     extended, _ = extend(bare, "psi-offset", (2, 3))
     assert extended.uneven == ()
 

@@ -8,8 +8,11 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.diagnosis import diagnose
+from stickslip_fit.errors import InputError
+from stickslip_fit.moves.arm import parse_conditions
+from stickslip_fit.moves.drives import fill_conditions
 from tests.hidden.generate import CHECK_EVERY, hide
-from tests.hidden.reading import read_hidden
+from tests.hidden.reading import drop_lab_columns, read_hidden
 
 
 def own_length(table):
@@ -134,13 +137,9 @@ def settling(table, minutes=15.0):
     return 0.02 * found
 
 
-# Of a lab, which act on nothing here: each has many functions that would be tried.
-LAB_COLUMNS = ["temperature_C", "supply_V", "air_pressure_hPa"]
-
-
 def read_with(effect, design, joints, seed=4, replicate=0):
     hidden = hide(design, seed=seed, replicate=replicate)
-    table = hidden.table.drop(columns=LAB_COLUMNS, errors="ignore")
+    table = drop_lab_columns(hidden.table)
     steps = table["steps"] / (1.0 + effect(table))
     table["steps"] = (CHECK_EVERY * np.round(steps / CHECK_EVERY)).astype(int)
     return read_hidden(replace(hidden, table=table), joints)
@@ -172,6 +171,16 @@ def test_what_steps_follow_is_found(effect, design, joints, carriers):
     found = diagnose_with(effect, design, joints)
     assert [one.cause for one in found.findings] == ["unknown"]
     assert {*found.findings[0].version.carriers} == carriers, found.summary().headline
+
+
+def test_a_payload_that_is_kept_is_a_condition_of_a_law_that_follows_its_changes():
+    law = diagnose_with(settling, "session", (2, 3)).extended_law()
+    conditions = parse_conditions(["payload_g=20"], law, "--condition")
+    assert conditions == {"payload": pytest.approx(0.02)}
+    filled = fill_conditions(pd.DataFrame({"joint": [2, 3]}), conditions)
+    assert (filled[["payload_change_10min", "payload_change_40min"]] == 0.0).all(axis=None)
+    with pytest.raises(InputError, match="this law depends on payload_g; leave supply_V out"):
+        parse_conditions(["supply_V=60"], law, "--condition")
 
 
 def test_two_waves_are_found_in_one_session():

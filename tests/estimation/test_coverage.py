@@ -58,7 +58,7 @@ def study(estimator, campaign, read_table, sessions, campaigns, seed):
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
 @pytest.mark.parametrize(
     ("sessions", "campaigns", "seed"),
-    [(3, 6, 1), *(pytest.param(sessions, 1000, 2, marks=pytest.mark.nightly) for sessions in (1, 3, 20))],
+    [(3, 10, 1), *(pytest.param(sessions, 1000, 2, marks=pytest.mark.nightly) for sessions in (1, 3, 20))],
 )
 def test_intervals_cover(campaign, read_table, estimator, sessions, campaigns, seed):
     """Each parameter within the binomial error of the largest of so many; in the mean, also predictions.

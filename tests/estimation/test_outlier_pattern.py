@@ -34,7 +34,7 @@ def chosen(places) -> np.ndarray:
     return np.isin(np.arange(N), places)
 
 
-@pytest.mark.parametrize("repetitions", [15, pytest.param(2000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("repetitions", [30, pytest.param(2000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.nightly), 8])
 def test_isolated_errors_are_seldom_called_a_pattern(rows, count, repetitions):
     random = np.random.default_rng(count)

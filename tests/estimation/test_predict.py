@@ -54,7 +54,7 @@ def days(count):
     return ", ".join(f"2012-03-{day:02d}" for day in range(5, 5 + count))
 
 
-@pytest.mark.parametrize("campaigns", [5, pytest.param(1000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("campaigns", [8, pytest.param(1000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
 def test_intervals_hold_the_counts_of_a_plan(planned, estimator, campaigns):
     """What a count is rounded up to adds half a per cent to the 95."""
@@ -71,7 +71,7 @@ def test_intervals_hold_the_counts_of_a_plan(planned, estimator, campaigns):
     assert worst >= binom.ppf(0.001 / hits.shape[1], campaigns, 0.95)
 
 
-@pytest.mark.parametrize("campaigns", [3, pytest.param(300, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("campaigns", [6, pytest.param(300, marks=pytest.mark.nightly)])
 def test_a_function_of_each_logged_session_is_not_that_of_a_session_to_come(planned, campaigns):
     """With that of the latest session the intervals hold a fifth of the counts."""
     logged, then = planned(CALIBRATION, days(4)), planned(FRESH, "2012-03-20")

@@ -4,8 +4,17 @@ from collections.abc import Collection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import pandas as pd
+
 from stickslip_fit.logs import Log, read_log
 from tests.hidden.generate import Hidden
+
+LAB_COLUMNS = ["temperature_C", "humidity_pct", "supply_V", "air_pressure_hPa", "operator_load"]
+
+
+def drop_lab_columns(table: pd.DataFrame) -> pd.DataFrame:
+    """A log's table without a lab's columns: where they act on nothing, each has many functions to try."""
+    return table.drop(columns=LAB_COLUMNS, errors="ignore")
 
 
 def read_hidden(hidden: Hidden, joints: Collection[int] = (1, 2, 3)) -> Log:
