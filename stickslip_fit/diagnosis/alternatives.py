@@ -34,6 +34,9 @@ N_WAVES = 6
 MAX_PERIODS = 600
 MAX_ELEMENTS = 20_000_000  # of the configuration indicators; larger ones are left out
 MIN_TRAVERSES_PER_PERIOD = 2.0
+# The same of traverses at uneven intervals, whose quartiles are so much of the median apart: no two waves have
+# the same values there (L. Eyer and P. Bartholdi, Astron. Astrophys. Suppl. 135:1, 1999).
+MIN_UNEVEN_PER_PERIOD, MIN_SPREAD = 1.0, 0.2
 MIN_ALTERNATION = 0.9  # of the product of direction and parity, its mean in a session
 
 
@@ -121,7 +124,8 @@ def _plain_waves(
     rows, acts = linearized.rows, size != 0
     session, names = pd.factorize(rows["session"].astype(object))
     values = rows[carriers[0]].to_numpy(float)
-    periods = choose_periods(values[acts], session[acts])
+    in_time = carriers[0] == "session_seconds"
+    periods = choose_periods(values[acts], session[acts], in_time=in_time)
     pairs, factor = np.zeros((len(rows), len(periods), 2)), SMOOTH_SCALE * size / linearized.scale
     pairs[acts] = _cosines_and_sines(values[acts], 1.0 / periods) * factor[acts, None, None]
     plain = PeriodicTerm(carriers, limits, sessions=tuple(map(str, names)), **attributes)
@@ -241,15 +245,20 @@ def _harmonics(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
         yield f"{name} q2, joint 3", column[:, None]
 
 
-def choose_periods(clock: Array, session: npt.NDArray[np.intp]) -> Array:
-    """Periods between the length of a session and the spacing of its traverses, evenly in frequency."""
+def choose_periods(clock: Array, session: npt.NDArray[np.intp], *, in_time: bool = True) -> Array:
+    """Periods between the length of a session and the spacing of its traverses, evenly in frequency.
+
+    Only a wave in time may be faster than two traverses: along a traverse one of travels would average out.
+    """
     order = np.lexsort((clock, session))
     spacing = np.diff(clock[order])[np.diff(session[order]) == 0]
     if not (spacing > 0).any():
         return np.zeros(0)
-    longest, step = float(clock.max()), float(np.median(spacing[spacing > 0]))
+    lower, step, upper = np.quantile(spacing[spacing > 0], (0.25, 0.5, 0.75)).tolist()
+    longest, is_uneven = float(clock.max()), in_time and upper - lower > MIN_SPREAD * step
     if longest < 4 * MIN_TRAVERSES_PER_PERIOD * step:
         return np.zeros(0)
-    slowest, fastest = 2.0 / longest, 1.0 / (MIN_TRAVERSES_PER_PERIOD * step)
+    slowest = 2.0 / longest
+    fastest = 1.0 / ((MIN_UNEVEN_PER_PERIOD if is_uneven else MIN_TRAVERSES_PER_PERIOD) * step)
     number = min(MAX_PERIODS, int(np.ceil(2.0 * longest * (fastest - slowest))))
     return np.asarray(1.0 / np.linspace(slowest, fastest, number))

@@ -35,6 +35,7 @@ from stickslip_fit.diagnosis.misfit import (
     remove_structure,
     weigh_hypotheses,
 )
+from stickslip_fit.diagnosis.time_functions import find_time_function
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
 MEMORY_MARGIN = 3.0  # nats by which an autoregression is likelier, whose noise looks like many a function
@@ -73,9 +74,14 @@ def propose_term(
     least = max(MIN_STAND_IN_LOG_BAYES_FACTOR, to_beat - MEMORY_MARGIN)
     carriers: Sequence[str] = shape.version.carriers if isinstance(shape, Hypothesis) else ()
     term = _find_term(linearized, misfit, expressions(linearized), carriers, rng)
+    fine = None
     if evidence < least:
         closer = [(evidence, shape), *_look_closer(linearized, misfit, smooth, term)]
         evidence, shape = max(closer, key=lambda one: one[0])
+        # Unlike memory, which has an exponential covariance itself, it says when something came and went.
+        fine = find_time_function(linearized, misfit.residual)
+        if fine is not None and fine[0] > max(evidence, to_beat):
+            evidence, shape = fine
     if evidence < least:
         if not isinstance(ar1, AR1) or ar1.term is None:
             return list(selected)
@@ -100,8 +106,12 @@ def propose_term(
     elif isinstance(shape.version, SmoothTerm) and len(shape.version.carriers) == 2:
         shape = _likeliest(_as_surfaces(shape.version), shape, linearized, misfit.residual)
     elif isinstance(shape.version, SmoothTerm) and shape.version.sessions:
-        version: Any = average_forms(shape.version, linearized, misfit.residual)
-        return [*others, _without_start(unknown, version, linearized)]
+        if fine is None and shape.version.carriers == ("session_seconds",):
+            fine = find_time_function(linearized, misfit.residual)
+        if fine is None or (shape is not fine[1] and fine[0] < evidence + CLEARLY_LIKELIER):
+            version: Any = average_forms(shape.version, linearized, misfit.residual)
+            return [*others, _without_start(unknown, version, linearized)]
+        shape = fine[1]
     elif isinstance(shape.version, SmoothTerm):
         shape = _clearly_likelier(_with_details(shape.version), shape, linearized, misfit)
     size = _fit_strength(shape, misfit.residual, linearized.df)
