@@ -13,6 +13,7 @@ import pandas as pd
 
 from stickslip_fit._json import to_tuples
 from stickslip_fit.causes import environment, geometry, load, position, profile, temporal
+from stickslip_fit.causes.added_steps import AddedSteps
 from stickslip_fit.causes.base import Cause, ExtendedLaw
 from stickslip_fit.causes.environment import Covariate
 from stickslip_fit.causes.formula import FormulaCause, restore_formula_cause
@@ -44,7 +45,10 @@ HISTORY_COLUMNS = {
 ENTRY_POINT = "stickslip_fit.causes"
 PROPOSED: dict[str, Callable[..., Cause]] = {
     kind.name: kind
-    for kind in (SmoothTerm, JointTerm, TravelTerm, NestedTerm, PeriodicTerm, ProposedTerm, CarryOverTerm)
+    for kind in (
+        *(SmoothTerm, JointTerm, TravelTerm, NestedTerm, PeriodicTerm, ProposedTerm, CarryOverTerm),
+        AddedSteps,
+    )
 }
 # Names of proposed functions in files of earlier versions, where they were a sum, not an exponential.
 FORMER = ("smooth-term", "smooth-joint-term", "smooth-travel-term", "periodic-term")

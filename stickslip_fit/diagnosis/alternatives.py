@@ -124,8 +124,7 @@ def _plain_waves(
     rows, acts = linearized.rows, size != 0
     session, names = pd.factorize(rows["session"].astype(object))
     values = rows[carriers[0]].to_numpy(float)
-    in_time = carriers[0] == "session_seconds"
-    periods = choose_periods(values[acts], session[acts], in_time=in_time)
+    periods = choose_periods(values[acts], session[acts])
     pairs, factor = np.zeros((len(rows), len(periods), 2)), SMOOTH_SCALE * size / linearized.scale
     pairs[acts] = _cosines_and_sines(values[acts], 1.0 / periods) * factor[acts, None, None]
     plain = PeriodicTerm(carriers, limits, sessions=tuple(map(str, names)), **attributes)
@@ -142,7 +141,7 @@ def _periodic_alternatives(
     session, names = pd.factorize(rows["session"].astype(object))
     values = rows[clock].to_numpy(float)
     sign = linearized.direction_sign
-    periods = choose_periods(values, session)
+    periods = choose_periods(values, session, MIN_UNEVEN_PER_PERIOD)
     if clock == "session_order" and _alternates(sign, values, session):
         periods = periods[periods >= 2 * MIN_TRAVERSES_PER_PERIOD]
     pairs = _cosines_and_sines(values, 1.0 / periods) * (SMOOTH_SCALE / linearized.scale)[:, None, None]
@@ -245,20 +244,22 @@ def _harmonics(rows: pd.DataFrame) -> Iterator[tuple[str, Array]]:
         yield f"{name} q2, joint 3", column[:, None]
 
 
-def choose_periods(clock: Array, session: npt.NDArray[np.intp], *, in_time: bool = True) -> Array:
+def choose_periods(
+    clock: Array, session: npt.NDArray[np.intp], least_uneven: float = MIN_TRAVERSES_PER_PERIOD
+) -> Array:
     """Periods between the length of a session and the spacing of its traverses, evenly in frequency.
 
-    Only a wave in time may be faster than two traverses: along a traverse one of travels would average out.
+    At uneven intervals a period has at least `least_uneven` traverses.
     """
     order = np.lexsort((clock, session))
     spacing = np.diff(clock[order])[np.diff(session[order]) == 0]
     if not (spacing > 0).any():
         return np.zeros(0)
     lower, step, upper = np.quantile(spacing[spacing > 0], (0.25, 0.5, 0.75)).tolist()
-    longest, is_uneven = float(clock.max()), in_time and upper - lower > MIN_SPREAD * step
+    longest, is_uneven = float(clock.max()), upper - lower > MIN_SPREAD * step
     if longest < 4 * MIN_TRAVERSES_PER_PERIOD * step:
         return np.zeros(0)
     slowest = 2.0 / longest
-    fastest = 1.0 / ((MIN_UNEVEN_PER_PERIOD if is_uneven else MIN_TRAVERSES_PER_PERIOD) * step)
+    fastest = 1.0 / ((least_uneven if is_uneven else MIN_TRAVERSES_PER_PERIOD) * step)
     number = min(MAX_PERIODS, int(np.ceil(2.0 * longest * (fastest - slowest))))
     return np.asarray(1.0 / np.linspace(slowest, fastest, number))

@@ -63,7 +63,7 @@ MIN_LOG_BAYES_FACTOR, MIN_LOG_ODDS = 5.0, -6.0
 # Nats for a version of a cause that adds parameters to another: of its evidence, or of a criterion.
 MIN_ADDED_LOG_EVIDENCE, MIN_CRITERION_GAIN = 2.0, 1.0
 # Shares of the evidence of structure without a name, by the first word of an alternative's name.
-LARGE_KINDS = {"product": 0.25, "period": 0.125}
+LARGE_KINDS = {"product": 0.25, "period": 0.125, "steps": 0.125}
 UNKNOWN_WEIGHT = 4.0  # in the test's statistic, in which each cause has 1: what nobody thought of is not rare
 MIN_AHEAD = 1e-3  # nats, more than rounding
 MAX_ROW_SHARE = 0.4  # of an effect's prior variance in one row
@@ -441,7 +441,7 @@ def average_by_cause(causes: Sequence[str], log_weight: Array, log_evidence: Arr
 def weigh_hypotheses(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[str]) -> Array:
     """Log weight of each hypothesis: equal for the shapes of a cause; for ``unknown`` kind by kind.
 
-    A kind is what follows one carrier. All products, and all waves, together have the share of `LARGE_KINDS`.
+    A kind is what follows one carrier. All products, all waves and all steps that are added together have the share of `LARGE_KINDS`.
     """
     families = [
         hypothesis.cause.split(" ")[0].removesuffix(",") if cause == UNKNOWN else cause

@@ -208,7 +208,11 @@ class _Directions:
 def _has_many(cause: Any) -> bool:
     """Whether a cause is fitted along some directions of its coefficients."""
     many = isinstance(cause, LinearFactor) and len(cause.parameters) >= MIN_COEFFICIENTS
-    return many and all(np.isfinite(parameter.prior_sd) for parameter in cause.parameters)
+    return (
+        many
+        and cause.acts_at == "factor"
+        and all(np.isfinite(parameter.prior_sd) for parameter in cause.parameters)
+    )
 
 
 def _extend(parts: Sequence[LawBlock], causes: Sequence[Any], values: Array) -> tuple[LawBlock, ...]:

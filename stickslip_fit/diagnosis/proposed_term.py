@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array
+from stickslip_fit.causes.added_steps import AddedSteps
 from stickslip_fit.causes.proposed import SMOOTH_SCALE, PeriodicTerm, SmoothTerm
 from stickslip_fit.causes.smooth import N_HARMONICS, prior_sds
 from stickslip_fit.causes.table_terms import PeriodicTableTerm
@@ -112,7 +113,7 @@ def propose_term(
             version: Any = average_forms(shape.version, linearized, misfit.residual)
             return [*others, _without_start(unknown, version, linearized)]
         shape = fine[1]
-    elif isinstance(shape.version, SmoothTerm):
+    elif isinstance(shape.version, SmoothTerm) and not isinstance(shape.version, AddedSteps):
         shape = _clearly_likelier(_with_details(shape.version), shape, linearized, misfit)
     size = _fit_strength(shape, misfit.residual, linearized.df)
     version = shape.version.with_amplitude(size.strength * np.sqrt(size.noise) / shape.length)

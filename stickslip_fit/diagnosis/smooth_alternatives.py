@@ -14,10 +14,13 @@ from itertools import batched, combinations
 from math import sqrt
 
 import numpy as np
+import pandas as pd
 
 from stickslip_fit._linalg import eigh
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes.added_steps import STEPS_SCALE, AddedSteps
 from stickslip_fit.causes.proposed import (
+    ALONG,
     ANGLES,
     LENGTH,
     LOAD,
@@ -58,6 +61,9 @@ MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below wh
 MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out
 MAX_LOST = 0.1  # of the square of several parts, up to which each may lose its own share by itself
 COMMON = 0.8  # of the variance of functions of sessions, where they have one in common
+# Standard deviation of the logarithm of a joint's counts, from which steps that are added to each tell themselves
+# from a step size that varies.
+MIN_SPREAD_OF_COUNTS = 0.3
 MIN_LENGTHS = 4  # distinct ones of a joint's traverses, of which a function is looked for
 MAX_NESTED = 240  # coefficients of functions around a common one
 AT_ONCE = 128  # columns of functions, whose effects then stay in the processor's memory
@@ -99,6 +105,8 @@ def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
         hypotheses += builder.by_session(one)
     for one in builder.effects_of(products):
         hypotheses += (builder.broad if {*WITH_PRODUCTS} & {*one.term.carriers} else builder.shapes)(one)
+    for one in builder.effects_of(_added_to_counts(linearized, carriers)):
+        hypotheses += builder.added(one)
     for joint, carrier in of_each_joint(linearized, carriers, LENGTH):
         # Of few lengths any function is as good as the few steps that a late stop adds to each count.
         if carrier.distinct >= MIN_LENGTHS:
@@ -151,6 +159,21 @@ def _smooth_functions(carrier: Carrier, length: float) -> tuple[SmoothTerm, Arra
     orders = tuple((k,) for k in range(1, len(sds) + 1))
     term = SmoothTerm((carrier.name,), ((carrier.low, carrier.high),), orders, tuple(map(float, sds)))
     return term, carrier.waves(len(sds)) * sds
+
+
+def _added_to_counts(
+    linearized: LinearizedFit, carriers: Sequence[Carrier]
+) -> Iterator[tuple[str, SmoothTerm, Array]]:
+    """Functions of steps that are added to counts; none where each joint's counts are much alike."""
+    rows = linearized.rows
+    steps = np.maximum(rows["steps"].to_numpy(float), 1.0)
+    if not (pd.Series(np.log(steps)).groupby(rows["joint"]).std() > MIN_SPREAD_OF_COUNTS).any():
+        return
+    for carrier in carriers:
+        if carrier.name not in (*ALONG, LENGTH):
+            term, columns = _smooth_functions(carrier, LENGTHS[0])
+            share = STEPS_SCALE / SMOOTH_SCALE / steps
+            yield f"steps added by {carrier.name}", AddedSteps.of(term), columns * share[:, None]
 
 
 def _interactions(one: str, other: str) -> Sequence[tuple[tuple[int, int], ...]]:
@@ -350,6 +373,20 @@ class _Builder:
             on = replace(effects.term, on=((joint, "+"), (joint, "-")))
             own = self.subspace(effects, _Group(joint))
             found.append(self.make(f"{effects.name}, joint {joint}", on, [own]))
+        return [one for one in found if one is not None]
+
+    def added(self, effects: _Effects) -> list[Hypothesis]:
+        """Functions of all joints, of each direction and of each joint."""
+        name, term = effects.name, effects.term
+        found = [self.make(name, term, [self.subspace(effects, EVERY_ROW)])]
+        for direction in SIGNS:
+            on = tuple((joint, direction) for joint in self.joints)
+            one_way = self.subspace(effects, _Group(direction=direction))
+            found.append(self.make(f"{name}, {direction} only", replace(term, on=on), [one_way]))
+        for joint in self.joints if len(self.joints) > 1 else ():
+            on = ((joint, "+"), (joint, "-"))
+            own = self.subspace(effects, _Group(joint))
+            found.append(self.make(f"{name}, joint {joint}", replace(term, on=on), [own]))
         return [one for one in found if one is not None]
 
     def of_all(self, effects: _Effects) -> list[Hypothesis | None]:
