@@ -1,7 +1,7 @@
 """Steps that a count has more or less, following something that no cause describes.
 
-A stop that is heard late, or a backlash, adds steps whatever the length of the traverse; where it depends on a
-pose, a column of the log or what was driven before, the step size alone cannot have that.
+A stop that is heard late, or a backlash, adds steps whatever the length of the traverse. Where it depends on
+a pose, a column of the log or what was driven before, no function of these in the step size describes it.
 """
 
 from __future__ import annotations
@@ -31,12 +31,13 @@ class AddedSteps(SmoothTerm):
 
     sds: tuple[float, ...] = (STEPS_SCALE,)
 
-    acts_at = "count"
+    acts_at = "count"  # type: ignore[assignment]
     name = "smooth-function-of-steps"
     phrase = "counts have steps more or less that follow something smoothly"
     physics = (
-        "Whatever the carrier stands for: the log alone shows that steps are added to each count or missing from "
-        "it, as many for a short traverse as for a long one. So act a stop that is heard late and a backlash."
+        "Whatever the carrier stands for: the log alone shows that steps are added to each count or missing "
+        "from it, as many for a short traverse as for a long one. A stop that is heard late and a backlash do "
+        "that."
     )
     shows_best = "short traverses beside long ones, at the lowest and at the highest values of the carrier"
 

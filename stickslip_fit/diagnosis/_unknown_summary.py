@@ -64,7 +64,8 @@ if TYPE_CHECKING:
     from stickslip_fit.diagnosis import Diagnosis
 
 BEFORE_JOINT = "before_joint"
-PERIOD_OF, SETTINGS_OF = "period of ", "settings of "  # with which some carriers begin
+# With which some carriers begin.
+PERIOD_OF, SETTINGS_OF, ADDED_BY = "period of ", "settings of ", "steps added by "
 MIN_EXPLAINED, MAX_EXPLAINING = 0.05, 5  # share of a structure; causes in the table
 MIN_CLOSE = 0.1  # share of a structure that a cause explains, from which it is called close
 MIN_BENT = 0.1  # share of a structure that a cause explains only bent, from which that is told
@@ -142,7 +143,11 @@ def describe_carrier(carrier: str) -> str:
     'carries over from one traverse of each joint to the next in direction +'
     >>> describe_carrier("product of load and session_seconds, joint 3")
     'follows the product of the load and the time in the session, joint 3'
+    >>> describe_carrier("steps added by pause, + only")
+    'adds steps to counts by the time since the traverse before, + only'
     """
+    if carrier.startswith(ADDED_BY):
+        return f"adds steps to counts by {name_carrier(carrier.removeprefix(ADDED_BY))}"
     if carrier.startswith("period"):
         wave = carrier.replace(", by load", " in proportion to the load").replace(", opposite", OPPOSITE)
         return f"comes and goes with a {wave}"
@@ -205,8 +210,9 @@ def describe_proposal(finding: Finding) -> str:
         return f"{steps} {period}, which no known cause does; a wave{each}{changes} is proposed; {worth}"
     if not finding.term:
         what = "both" if len(getattr(finding.version, "carriers", ())) > 1 else "it"
+        follow = "have steps more or less that follow" if _adds_steps(finding) else "follow"
         return (
-            f"{steps} follow {name_carriers(finding)} in a way that no known cause describes; "
+            f"{steps} {follow} {name_carriers(finding)} in a way that no known cause describes; "
             f"a smooth function of {what}{_name_each(finding)} is proposed; {worth}"
         )
     sizes = [
@@ -219,6 +225,11 @@ def describe_proposal(finding: Finding) -> str:
         steps = f"{steps[0].lower()}{steps[1:]}"
         return f"What {steps} depart by {describe_carrier(finding.carrier)}; {what}; {worth}"
     return f"{steps} follow {name_carriers(finding)} in a way that no known cause describes; {what}; {worth}"
+
+
+def _adds_steps(finding: Finding) -> bool:
+    """Whether a proposal adds steps to counts, as many to short ones as to long ones."""
+    return getattr(finding.version, "acts_at", "") == "count"
 
 
 def _differs_by_session(finding: Finding) -> bool:
@@ -248,9 +259,10 @@ def _name_steps(finding: Finding) -> str:
     joints = [str(joint) for joint in finding.joints]
     directions = {direction for _, direction in getattr(finding.version, "on", ())}
     only = f" in direction {format_direction(*directions)}" if len(directions) == 1 else ""
+    what = "counts" if _adds_steps(finding) else "steps"
     if len(joints) == 1:
-        return f"Joint {joints[0]}'s steps{only}"
-    return f"The steps of joints {join_words(joints)}{only}" if joints else f"Steps{only}"
+        return f"Joint {joints[0]}'s {what}{only}"
+    return f"The {what} of joints {join_words(joints)}{only}" if joints else f"{what.capitalize()}{only}"
 
 
 def _describe_worth(finding: Finding) -> str:
@@ -371,14 +383,18 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
 
 
 def find_extremes(finding: Finding, diagnosis: Diagnosis) -> list[tuple[pd.Series[Any], float]]:
-    """The traverses on which a function makes steps largest and smallest, each with the change.
+    """The traverses on which a function makes steps largest and smallest, each with the relative change.
 
-    Within one joint and direction, so that nothing else has to differ between the two.
+    Of one that adds steps to counts with their number. Within one joint and direction, so that nothing else
+    has to differ between the two.
     """
     selection = diagnosis.selection
     version, rows = selection.behind(finding).version, selection.problem.rows
-    # The change of the count is minus the sum of each parameter times its function.
-    change = version.of_sum(-term_change(selection, version))[0] - 1.0
+    change = term_change(selection, version)
+    if _adds_steps(finding):
+        change = change * rows["steps"].to_numpy(float)
+    else:  # the change of the count is minus the sum of each parameter times its function
+        change = version.of_sum(-change)[0] - 1.0
     groups = rows.groupby(["joint", "direction"], observed=True).indices.values()
     # A traverse without one before it has no value to repeat.
     carriers: tuple[str, ...] = getattr(finding.version, "carriers", ())
@@ -397,7 +413,11 @@ def _format_extreme(finding: Finding, diagnosis: Diagnosis, row: pd.Series[Any],
     where = format_carriers([name for name in carriers if name != BEFORE_JOINT], row, diagnosis)
     where = f" at {where}" if where else ""
     after = f" after joint {row[BEFORE_JOINT]:.0f}" if BEFORE_JOINT in carriers else ""
-    return f"joint {row['joint']}{way}{where}{after} (steps {format_percent(size, signed=True)})"
+    if _adds_steps(finding):
+        more = f"{abs(size):,.0f} steps {'more' if size > 0 else 'fewer'}"
+    else:
+        more = f"steps {format_percent(size, signed=True)}"
+    return f"joint {row['joint']}{way}{where}{after} ({more})"
 
 
 def format_carriers(carriers: Sequence[str], row: pd.Series[Any], diagnosis: Diagnosis) -> str:

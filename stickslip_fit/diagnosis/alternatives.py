@@ -34,8 +34,8 @@ N_WAVES = 6
 MAX_PERIODS = 600
 MAX_ELEMENTS = 20_000_000  # of the configuration indicators; larger ones are left out
 MIN_TRAVERSES_PER_PERIOD = 2.0
-# The same of traverses at uneven intervals, whose quartiles are so much of the median apart: no two waves have
-# the same values there (L. Eyer and P. Bartholdi, Astron. Astrophys. Suppl. 135:1, 1999).
+# The same of traverses at uneven intervals, whose quartiles are so much of the median apart: no two waves
+# have the same values there (L. Eyer and P. Bartholdi, Astron. Astrophys. Suppl. 135:1, 1999).
 MIN_UNEVEN_PER_PERIOD, MIN_SPREAD = 1.0, 0.2
 MIN_ALTERNATION = 0.9  # of the product of direction and parity, its mean in a session
 

@@ -441,7 +441,8 @@ def average_by_cause(causes: Sequence[str], log_weight: Array, log_evidence: Arr
 def weigh_hypotheses(hypotheses: Sequence[Hypothesis | AR1], causes: Sequence[str]) -> Array:
     """Log weight of each hypothesis: equal for the shapes of a cause; for ``unknown`` kind by kind.
 
-    A kind is what follows one carrier. All products, all waves and all steps that are added together have the share of `LARGE_KINDS`.
+    A kind is what follows one carrier. All products, all waves and all steps that are added to counts have
+    the shares of `LARGE_KINDS`.
     """
     families = [
         hypothesis.cause.split(" ")[0].removesuffix(",") if cause == UNKNOWN else cause

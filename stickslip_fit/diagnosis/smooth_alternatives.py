@@ -61,8 +61,8 @@ MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below wh
 MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out
 MAX_LOST = 0.1  # of the square of several parts, up to which each may lose its own share by itself
 COMMON = 0.8  # of the variance of functions of sessions, where they have one in common
-# Standard deviation of the logarithm of a joint's counts, from which steps that are added to each tell themselves
-# from a step size that varies.
+# Standard deviation of the logarithm of a joint's counts, from which added steps can be told from a step size
+# that varies.
 MIN_SPREAD_OF_COUNTS = 0.3
 MIN_LENGTHS = 4  # distinct ones of a joint's traverses, of which a function is looked for
 MAX_NESTED = 240  # coefficients of functions around a common one

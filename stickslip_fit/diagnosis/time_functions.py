@@ -1,8 +1,9 @@
 """Functions of each session's time with details that are too fine to be looked for.
 
-What comes and goes within a few traverses looks like noise with memory. A function of time says when, so that it
-describes a traverse between others. It is as smooth as a Gaussian process with a squared-exponential covariance,
-or as rough as one with exponential covariance (an Ornstein-Uhlenbeck process, of which jumps have the spectrum).
+What comes and goes within a few traverses looks like noise with memory. A function of time says when, so
+that it describes a traverse between others. It is as smooth as a Gaussian process with squared-exponential
+covariance, or as rough as one with exponential covariance (an Ornstein-Uhlenbeck process, whose spectrum is
+that of jumps).
 """
 
 from __future__ import annotations

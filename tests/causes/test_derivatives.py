@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from stickslip_fit.causes import PayloadChange, SessionJump, extend
+from stickslip_fit.causes.added_steps import AddedSteps
 from stickslip_fit.causes.proposed import NestedTerm, SmoothTerm
 from tests.causes.by_hand import ROWS, SECOND
 from tests.causes.table import CASES, LAWS, MACHINE, NAMED, own_values
@@ -55,6 +56,27 @@ def test_a_smooth_function_is_the_logarithm_of_a_factor():
     values = np.concatenate([own_values(rows), np.tile([0.7, 2.0], (len(rows), 1))], axis=1)
     found = law.predict(rows, values) - LAWS[2].predict(rows, own_values(rows))
     np.testing.assert_allclose(found, np.where(rows["direction"] == "+", -2.7, 1.3), rtol=1e-9)
+
+
+def test_steps_are_added_whatever_the_length_of_a_traverse():
+    """Of a function of q1 that is at its first value everywhere, and only in direction +."""
+    rows = ROWS[ROWS["joint"] == 2]
+    added = AddedSteps(("q1",), ((1e3, 1e4),), ((1,), (2,)), (10.0, 5.0), on=((2, "+"),))
+    law, values = LAWS[2], own_values(rows)
+    counts = {
+        steps: np.exp(
+            extend(law, added).predict(
+                rows, np.column_stack([values, *np.tile([[steps], [20.0]], len(rows))])
+            )
+        )
+        for steps in (0.0, 30.0)
+    }
+    forward = (rows["direction"] == "+").to_numpy()
+    before = np.exp(law.predict(rows, values))
+    np.testing.assert_allclose(counts[0.0], before + 20.0 * forward, rtol=1e-9)
+    np.testing.assert_allclose(counts[30.0], before + 50.0 * forward, rtol=1e-9)
+    slopes = added.changes(law, rows, values, np.eye(2))
+    np.testing.assert_allclose(slopes, (forward / before)[:, None] * [1.0, 1.0], rtol=1e-9)
 
 
 def test_functions_of_sessions_act_on_all_joints_where_none_is_named():

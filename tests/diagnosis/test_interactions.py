@@ -1,5 +1,6 @@
 """Effects of the traverse's own length, of two columns together and of what came before, put in by hand."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -137,6 +138,41 @@ def settling(table, minutes=15.0):
     return 0.02 * found
 
 
+def wandering(table, seed):
+    """A column that wanders within its sessions, of standard deviation 1."""
+    rng, found = np.random.default_rng(seed), np.zeros(len(table))
+    order = pd.to_datetime(table["time"]).argsort(kind="stable").to_numpy()
+    for session in dict.fromkeys(table["session"]):
+        rows = order[table["session"].to_numpy()[order] == session]
+        found[rows] = np.convolve(rng.standard_normal(len(rows) + 8), np.ones(9) / 3.0, "valid")
+    return found
+
+
+def late_by_supply(table):
+    """The stop is heard up to 60 steps late, or as early, by a column."""
+    volts = wandering(table, 3)
+    table["supply_V"] = (60.0 + volts).round(2)
+    return table["steps"] / (table["steps"] + 60.0 * np.tanh(2.0 * volts)) - 1.0
+
+
+def fast_pump(table):
+    """A wave of one and a half traverses, which come at uneven intervals."""
+    minutes = (pd.to_datetime(table["time"]) - pd.to_datetime(table["time"]).min()).dt.total_seconds() / 60.0
+    spacing = minutes.sort_values().diff()
+    return 0.006 * np.sin(2.0 * np.pi * minutes / (1.5 * spacing[spacing < 30.0].median())).to_numpy()
+
+
+def draughts(table):
+    """Now and then, about every 40 min, a draught rises and falls within a quarter of an hour."""
+    at, rng, found = pd.to_datetime(table["time"]), np.random.default_rng(8), np.zeros(len(table))
+    for session in dict.fromkeys(table["session"]):
+        rows = np.flatnonzero(table["session"] == session)
+        minutes = ((at.iloc[rows] - at.iloc[rows].min()).dt.total_seconds() / 60.0).to_numpy()
+        for moment in rng.uniform(0.0, minutes.max(), int(minutes.max() / 40.0) + 1):
+            found[rows] += np.exp(-0.5 * ((minutes - moment) / 7.0) ** 2)
+    return 0.008 * found
+
+
 def read_with(effect, design, joints, seed=4, replicate=0):
     hidden = hide(design, seed=seed, replicate=replicate)
     table = drop_lab_columns(hidden.table)
@@ -181,6 +217,37 @@ def test_a_payload_that_is_kept_is_a_condition_of_a_law_that_follows_its_changes
     assert (filled[["payload_change_10min", "payload_change_40min"]] == 0.0).all(axis=None)
     with pytest.raises(InputError, match="this law depends on payload_g; leave supply_V out"):
         parse_conditions(["supply_V=60"], law, "--condition")
+
+
+def test_steps_that_a_column_adds_to_counts_are_told_from_a_step_size_that_follows_it():
+    log, fresh = (read_with(late_by_supply, "many", (2, 3), 4, replicate) for replicate in (0, 1))
+    found = diagnose(log, gain=False)
+    (finding,) = found.findings
+    assert (finding.cause, finding.carrier) == ("unknown", "steps added by supply")
+    text = " ".join(found.summary().headline)
+    assert "The counts of joints 2 and 3 have steps more or less that follow supply" in text
+    assert re.search(r"at supply 6\d\.\d V \(6\d steps more\)", text)
+    error = np.log(fresh.rows["steps"] / found.extended_law().predict(fresh.rows)["steps"])
+    assert np.sqrt(np.mean(error**2)) < 0.004
+
+
+def test_a_wave_faster_than_two_traverses_is_found_where_they_come_at_uneven_intervals():
+    found = diagnose_with(fast_pump, "many", (1, 2, 3))
+    assert [one.carrier for one in found.findings] == ["period of 3.0 min"]
+
+
+def test_what_comes_and_goes_within_minutes_is_a_function_of_time_and_not_memory():
+    """Of what draughts do a law of memory has next to nothing in a replicate."""
+    log, fresh = (read_with(draughts, "many", (1, 2, 3), 4, replicate) for replicate in (0, 1))
+    found = diagnose(log, gain=False)
+    (finding,) = found.findings
+    assert (finding.cause, finding.carrier, finding.version.carriers) == (
+        "unknown",
+        "time",
+        ("session_seconds",),
+    )
+    error = np.log(fresh.rows["steps"] / found.extended_law().predict(fresh.rows)["steps"])
+    assert np.sqrt(np.mean(error**2)) < 0.004  # of 0.0029 of noise; by memory 0.0048
 
 
 def test_two_waves_are_found_in_one_session():

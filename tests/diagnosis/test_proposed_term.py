@@ -8,6 +8,7 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit.causes import AlongTravel, Temperature, extend
+from stickslip_fit.causes.added_steps import AddedSteps
 from stickslip_fit.causes.proposed import (
     JointTerm,
     NestedTerm,
@@ -147,7 +148,7 @@ def test_a_law_with_terms_is_saved_and_restored(hidden_logs):
     assert len(waves.parameters) == 4  # of two joints in two sessions
     parts = NestedTerm.of_parts(travel, [(True, "same", (0.1, 0.02)), (False, "opposite", (0.1, 0.02))])
     assert len(parts.parameters) == 12  # of two joints, in two sessions and of opposite sign in directions
-    law = extend(extend(extend(law, travel), waves), parts)
+    law = extend(law, travel, waves, parts, AddedSteps(("q1",), ((-1.0, 1.0),), on=((3, "-"),)))
     restored = restore(describe(law), machine)
     assert restored.causes == law.causes
 
