@@ -36,10 +36,9 @@ class AddedSteps(SmoothTerm):
     phrase = "counts have steps more or less that follow something smoothly"
     physics = (
         "Whatever the carrier stands for: the log alone shows that steps are added to each count or missing "
-        "from it, as many for a short traverse as for a long one. A stop that is heard late and a backlash do "
-        "that."
+        "from it, as many for a short traverse as for a long one, as by a stop heard late or a backlash."
     )
-    shows_best = "short traverses beside long ones, at the lowest and at the highest values of the carrier"
+    shows_best = "short traverses beside long ones, at the lowest and the highest values of the carrier"
 
     @classmethod
     def of(cls, term: SmoothTerm) -> AddedSteps:
