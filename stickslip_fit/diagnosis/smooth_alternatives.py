@@ -166,7 +166,8 @@ def _added_to_counts(
 ) -> Iterator[tuple[str, SmoothTerm, Array]]:
     """Functions of steps that are added to counts; none where each joint's counts are much alike."""
     rows = linearized.rows
-    steps = np.maximum(rows["steps"].to_numpy(float), 1.0)
+    # Those of the law: counts themselves would bring their noise into what is to explain it.
+    steps = np.maximum(rows["steps"].to_numpy(float), 1.0) * np.exp(-linearized.unwhiten(linearized.residual))
     if not (pd.Series(np.log(steps)).groupby(rows["joint"]).std() > MIN_SPREAD_OF_COUNTS).any():
         return
     for carrier in carriers:
