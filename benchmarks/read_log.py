@@ -14,7 +14,7 @@ from stickslip_fit.logs import read_log
 ROWS = 1_000_000
 PER_SESSION = 500
 REPEATS = 7
-ALLOWED = 3.0
+ALLOWED = 15.0
 
 
 def main() -> None:

@@ -22,7 +22,16 @@ from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.parameters import CauseParameter, Row
 from stickslip_fit.causes.smooth import LinearFactor, LogLinearFactor, cosines, harmonics, wave_products
 from stickslip_fit.laws import State, StepLaw, state_at
-from stickslip_fit.logs.history import CHANGES, JOINT_NET_USE, JOINT_USE, NET_USE, OTHER_USE, PAUSES, USE
+from stickslip_fit.logs.history import (
+    CHANGES,
+    JOINT_NET_USE,
+    JOINT_USE,
+    MOVES,
+    NET_USE,
+    OTHER_USE,
+    PAUSES,
+    USE,
+)
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.units import COORDINATE_UNITS, from_si, share_per, unit_of_difference
 
@@ -39,7 +48,10 @@ FORMULA_NAMES = {
     **{name: f"other travels in {seconds / 60.0:.0f} min" for name, seconds in OTHER_USE.items()},
     **{name: f"net travels in {seconds / 60.0:.0f} min" for name, seconds in NET_USE.items()},
     **{name: f"own net travels in {seconds / 60.0:.0f} min" for name, seconds in JOINT_NET_USE.items()},
-    **{name: f"{of} change in {s / 60.0:.0f} min".replace("_", " ") for name, (of, s) in CHANGES.items()},
+    **{
+        name: f"{of} change in {s / 60.0:.0f} min".replace("_", " ")
+        for name, (of, s) in (CHANGES | MOVES).items()
+    },
 }  # of carriers in formulas, where they have not their own
 LOADS = (LOAD, TRANSVERSE_LOAD)
 ALONG = (POSITION, ZETA, *LOADS)  # what may change along a traverse

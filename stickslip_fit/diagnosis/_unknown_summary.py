@@ -46,6 +46,7 @@ from stickslip_fit.logs.history import (
     JOINT_NET_USE,
     JOINT_USE,
     LATE_TEMPERATURE,
+    MOVES,
     NET_USE,
     OTHER_USE,
     PAUSES,
@@ -116,6 +117,10 @@ COLUMN_WORDS = {
     **{
         name: f"how the {CONDITIONS[condition].label} has changed in the last {seconds / 60.0:.0f} min or so"
         for name, (condition, seconds) in CHANGES.items()
+    },
+    **{
+        name: f"how {coordinate} has changed in the last {seconds / 60.0:.0f} min or so"
+        for name, (coordinate, seconds) in MOVES.items()
     },
     "session_seconds": "the time in the session",
     "session_order": "the number of traverses in the session",
@@ -469,10 +474,12 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
         value, unit = from_si(value, "h"), " h"
     elif name in PAUSES:
         return f"{format_significant(from_si(value, 'min'), 3)} min {SINCE[name]}"
-    elif name in CHANGES:
-        condition, seconds = CHANGES[name]
-        more = f"{format_significant(from_si(value, unit_of(name)), 3)} {unit_of(name)}"
-        return f"a {CONDITIONS[condition].label} changed by {more} in the last {seconds / 60.0:.0f} min or so"
+    elif name in CHANGES | MOVES:
+        of, seconds = (CHANGES | MOVES)[name]
+        unit = unit_of(name)
+        more = f"{format_significant(from_si(value, unit), 3)}{'°' if unit == 'deg' else f' {unit}'}"
+        what = f"a {CONDITIONS[of].label}" if of in CONDITIONS else of
+        return f"{what} changed by {more} in the last {seconds / 60.0:.0f} min or so"
     elif shown := unit_of(name):
         value, unit = from_si(value, shown), f" {shown}"
     return f"{label} {format_significant(float(value), 3)}{unit}"

@@ -15,7 +15,7 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.testability import is_log
-from stickslip_fit.logs.history import follow_late
+from stickslip_fit.logs.fading import Fading
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times
 
 LAGS = 60.0 * np.array([2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0])  # s
@@ -74,7 +74,7 @@ def delay(rows: pd.DataFrame, values: Array, lag: float) -> Array:
 
 
 def low_pass(rows: pd.DataFrame, values: Array, lag: float) -> Array:
-    """Values as a body of one time constant follows them in each session, see `follow_late`.
+    """Values as a body of one time constant follows them in each session, see `Fading`.
 
     Parameters
     ----------
@@ -85,4 +85,4 @@ def low_pass(rows: pd.DataFrame, values: Array, lag: float) -> Array:
         Time constant, s.
     """
     session = pd.factorize(rows["session"].astype(object))[0].astype(np.int64)
-    return follow_late(values, rows["session_seconds"].to_numpy(float), session, lag)
+    return Fading(rows["session_seconds"].to_numpy(float), session, lag).follow(values)

@@ -24,7 +24,8 @@ from stickslip_fit._rows import rank_within
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.logs.history import DEPARTURES, previous_rows
+from stickslip_fit.logs.fading import previous_rows
+from stickslip_fit.logs.history import DEPARTURES
 
 AR1_COEFFICIENTS = (-0.3, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.97)
 # Of one direction on the residual before, which may be as far below as above it.

@@ -51,7 +51,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     make_hypothesis,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.logs.history import FURTHER_HISTORY, JOINT_NET_USE, NET_USE, PAST
+from stickslip_fit.logs.history import FURTHER_HISTORY, JOINT_NET_USE, MOVES, NET_USE, PAST, condition_of
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
 
 # With which a load or a column of the log may count more or less.
@@ -200,11 +200,14 @@ def _interactions(one: str, other: str) -> Sequence[tuple[tuple[int, int], ...]]
 def interact(one: str, other: str) -> bool:
     """Whether products of two carriers are looked for.
 
-    Of history on which no published cause depends, those with a load and with a column of the log.
+    Of history on which no published cause depends, those with a load and with a column of the log; of how an
+    angle has changed also that with the angle itself.
     """
     both = {one, other}
     if both & {LENGTH, ZETA}:
         return False
+    if any(condition_of(name) in both for name in both & {*MOVES}):
+        return True
     if not both & {*FURTHER_HISTORY}:
         return True
     partner = both - {*WITH_PRODUCTS}

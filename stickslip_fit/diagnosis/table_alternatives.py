@@ -47,7 +47,7 @@ from stickslip_fit.diagnosis.hypotheses import (
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1, AR1_COEFFICIENTS, Sequences
-from stickslip_fit.logs.history import previous_rows
+from stickslip_fit.logs.fading import previous_rows
 
 PAIR_LENGTH, MAX_PAIR_COLUMNS = 0.4, 7  # correlation length of a function of two columns; columns
 MIN_SESSIONS = 3  # for what comes back in every session of a sampled signal

@@ -10,6 +10,7 @@ import pandas as pd
 
 from stickslip_fit._typing import Array, Int64Array
 from stickslip_fit.logs._table import label_codes, run_in_threads
+from stickslip_fit.logs.fading import Fading, previous_rows
 from stickslip_fit.logs.schema import CONDITIONS
 from stickslip_fit.machine import Machine, load_machine, mean_load
 from stickslip_fit.units import unit_of_difference
@@ -31,7 +32,15 @@ CHANGES = {
     for condition in CONDITIONS
     for minutes in (10, 40)
 }
-PAST = (*LATE_TEMPERATURE, *CHANGES)  # what conditions were, which follows from their course
+# The same of angles and of where the other joints stand: what gives way or relaxes after a move.
+MOVES = {
+    f"{coordinate}_change_{minutes}min": (coordinate, 60.0 * minutes)
+    for coordinate in ("theta", "psi", "q1", "q2", "q3")
+    for minutes in (10, 40)
+}
+# What conditions and coordinates were, which follows from their course, and its time constants, s.
+PAST_SCALES = LATE_TEMPERATURE | {name: seconds for name, (_, seconds) in (CHANGES | MOVES).items()}
+PAST = tuple(PAST_SCALES)
 # Times since something, s.
 PAUSES = ("pause", "joint_pause", "other_pause", "tilt_age")
 # History on which no published cause depends.
@@ -43,7 +52,6 @@ FURTHER_HISTORY = (
     *JOINT_NET_USE,
     *PAST,
 )
-NEGLIGIBLE_USE = 1e-9  # share of what was driven
 # What the step size of the traverse before had beyond its law, and the time since that traverse.
 DEPARTURES = {"departure_before": "pause", "joint_departure_before": "joint_pause"}
 MAX_PASSES, DEPARTURE_TOL = 30, 1e-9  # of laws that follow departures
@@ -51,18 +59,20 @@ CLOSE_IN_TIME = 1e-3  # s
 
 
 def condition_of(column: str) -> str:
-    """The logged condition whose past a column of history is; any other column itself."""
-    return "temperature" if column in LATE_TEMPERATURE else CHANGES.get(column, (column,))[0]
+    """The condition or coordinate whose past a column of history is; any other column itself."""
+    return "temperature" if column in LATE_TEMPERATURE else (CHANGES | MOVES).get(column, (column,))[0]
 
 
 def unit_of(column: str) -> str:
-    """The unit in which a condition or its past is shown; empty for any other column.
+    """The unit in which a condition, its past or that of a coordinate is shown; empty for any other column.
 
     Examples
     --------
     >>> unit_of("temperature_40min"), unit_of("temperature_change_40min")
     ('°C', 'K')
     """
+    if column in MOVES:
+        return "mm" if condition_of(column) == "q3" else "deg"
     condition = CONDITIONS.get(condition_of(column))
     unit = condition.unit if condition is not None else ""
     return unit_of_difference(unit) if column in CHANGES else unit
@@ -104,9 +114,10 @@ def add_session_history(
     since its first one; ``joint_travel``, the lengths of the joint's own traverses in it so far together, as
     shares of its travel; ``tilt_age``, time since the first one with this theta and psi without another tilt
     between; the columns of `RECENT_USE`: the lengths of its traverses so far, as shares of their joints'
-    travel, each times exp(-age / s), see `recent_use`; those of `NET_USE` and `JOINT_NET_USE`, the same with
-    the sign of each direction; those of `LATE_TEMPERATURE`, see `follow_late`; and those of `CHANGES`, a
-    condition less what it is with such a lag.
+    travel, each times exp(-age / s), see `Fading.sum_before`; those of `NET_USE` and `JOINT_NET_USE`, the
+    same with the sign of each direction; those of `LATE_TEMPERATURE`, see `Fading.follow`; those of
+    `CHANGES`, a condition less what it is with such a lag; and those of `MOVES`, the same of an angle or of
+    where a joint stands, NaN where that joint moves and on a machine without the published geometry.
     """
     joint = rows["joint"].to_numpy()
     time = rows["time"].to_numpy(dtype="datetime64[ns]").view(np.int64)
@@ -140,24 +151,31 @@ def add_session_history(
     own, last = previous_rows(of_joint), previous_rows(session)
     length = np.abs(stop - start) / travel
     signed = np.where(backwards, -length, length)
-    uses = {
-        "all joints": partial(recent_use, length, seconds, session, USE),
-        "each joint": partial(recent_use, length, seconds, of_joint, JOINT_USE),
-        "net": partial(recent_use, signed, seconds, session, NET_USE),
-        "net of each joint": partial(recent_use, signed, seconds, of_joint, JOINT_NET_USE),
+    series = {name: rows[name].to_numpy(float) for name in ("temperature", *CONDITIONS) if name in rows}
+    series.setdefault("temperature", np.full(len(rows), np.nan))
+    moving = {f"q{number}": joint == number for number in (1, 2, 3)}
+    if has_load:
+        series |= {name: rows[name].to_numpy(float) for name in ("theta", "psi")}
+        series |= {name: np.where(own, start, rows[name].to_numpy(float)) for name, own in moving.items()}
+    scales = sorted({*USE.values(), *PAST_SCALES.values()})
+    tasks = {
+        **{f"{s} s": partial(_fade, Fading(seconds, session, s), length, signed, "", series) for s in scales},
+        **{
+            f"{s} s, each joint": partial(_fade, Fading(seconds, of_joint, s), length, signed, "joint_", {})
+            for s in USE.values()
+        },
     }
-    use = {name: values for one in run_in_threads(uses, len(rows)).values() for name, values in one.items()}
-    others = {f"other_{name}": np.maximum(use[name] - use[f"joint_{name}"], 0.0) for name in USE}
+    fades = {
+        name: values for one in run_in_threads(tasks, len(rows)).values() for name, values in one.items()
+    }
+    fades |= {
+        name: np.where(moving[of], np.nan, fades[name])
+        for name, (of, _) in MOVES.items()
+        if name in fades and of in moving
+    }
+    others = {f"other_{name}": np.maximum(fades[name] - fades[f"joint_{name}"], 0.0) for name in USE}
     other = last[first_of_run(session, joint)]
     since = seconds - seconds[first_of_run(session, _number_tilts(rows))]
-    room = rows["temperature"].to_numpy(float) if "temperature" in rows else np.full(len(rows), np.nan)
-    late = {name: follow_late(room, seconds, session, s) for name, s in LATE_TEMPERATURE.items()}
-    conditions = {name: rows[name].to_numpy(float) for name in CONDITIONS if name in rows}
-    changes = {
-        name: conditions[one] - follow_late(conditions[one], seconds, session, s)
-        for name, (one, s) in CHANGES.items()
-        if one in conditions
-    }
     return rows.assign(
         before_direction=label_codes(direction, ("+", "-")).set_axis(rows.index),
         before_load=load,
@@ -172,11 +190,29 @@ def add_session_history(
         other_load=np.where(other >= 0, loads[other], np.nan),
         other_pause=np.where(other >= 0, seconds - seconds[other], np.nan),
         tilt_age=since if has_load else np.nan,
-        **use,
+        **fades,
         **others,
-        **late,
-        **changes,
     )
+
+
+def _fade(
+    fading: Fading, length: Array, signed: Array, whose: str, series: Mapping[str, Array]
+) -> dict[str, Array]:
+    """The columns of one time constant: of what was driven, and of what conditions and coordinates were.
+
+    Lengths with and without the sign of the direction, and series by name, have shape (n,).
+    """
+    columns = {}
+    for name, scale in USE.items():
+        if scale == fading.scale:
+            columns[f"{whose}{name}"] = fading.sum_before(length)
+            columns[f"{whose}net_{name}"] = fading.sum_before(signed)
+    for of, values in series.items():
+        own = [name for name, s in PAST_SCALES.items() if s == fading.scale and condition_of(name) == of]
+        if own:
+            late = fading.follow(values) if np.isfinite(values).any() else np.full(len(values), np.nan)
+            columns |= {name: late if name in LATE_TEMPERATURE else values - late for name in own}
+    return columns
 
 
 def _number_tilts(rows: pd.DataFrame) -> Int64Array:
@@ -199,74 +235,6 @@ def first_of_run(group: Int64Array, value: Int64Array) -> Int64Array:
     first = np.empty_like(order)
     first[order] = order[np.maximum.accumulate(place)]
     return first
-
-
-def recent_use(
-    length: Array, seconds: Array, group: Int64Array, fades: Mapping[str, float]
-) -> dict[str, Array]:
-    """Sum the lengths of all rows before in the same group, each times exp(-age / fades).
-
-    As what is driven warms a joint that cools in pauses.
-
-    Parameters
-    ----------
-    length, seconds : array, shape (n,)
-        Of each traverse, and when it began, in the order of time.
-    group : array of int, shape (n,)
-    fades : mapping of str to float
-        Seconds, by name.
-
-    Returns
-    -------
-    dict of str to array, shape (n,)
-
-    Examples
-    --------
-    >>> use = recent_use(np.ones(3), np.array([0.0, 60.0, 120.0]), np.zeros(3, int), {"minute": 60.0})
-    >>> use["minute"].round(3)
-    array([0.   , 0.368, 0.503])
-    """
-    order = np.argsort(group, kind="stable")
-    group, length, seconds = group[order], length[order], seconds[order]
-    age, found = np.where(group[1:] == group[:-1], np.diff(seconds), np.inf), {}
-    for name, scale in fades.items():
-        left = np.append(0.0, np.exp(-age / scale))[: len(order)]
-        found[name] = np.empty(len(order))
-        found[name][order] = _accumulate(left * np.roll(length, 1), left, NEGLIGIBLE_USE)
-    return found
-
-
-def _accumulate(added: Array, kept: Array, negligible: float = 0.0) -> Array:
-    """The sums x of x[k] = added[k] + kept[k] x[k - 1], shape (n,), down to a negligible share."""
-    sums, left, back = added.copy(), kept.copy(), 1
-    # `sums` are of so many rows, and `left` is what remains of the row before these.
-    while np.any(left > negligible) and back < len(sums):
-        sums[back:] += left[back:] * sums[:-back]
-        left[back:] *= left[:-back].copy()
-        back *= 2
-    return sums
-
-
-def follow_late(values: Array, seconds: Array, group: Int64Array, scale: float) -> Array:
-    """Values behind a low-pass filter of the first order, at rest as each group begins, shape (n,).
-
-    As the temperature of a body of one time constant, `scale` in s, follows that of the room. Values are
-    linear between rows, which are in the order of time; a missing one is the one before.
-
-    Examples
-    --------
-    >>> follow_late(np.array([0.0, 1.0, 1.0]), np.array([0.0, 60.0, 120.0]), np.zeros(3, int), 60.0).round(3)
-    array([0.   , 0.368, 0.767])
-    """
-    order = np.argsort(group, kind="stable")
-    known = pd.Series(values[order]).groupby(group[order]).ffill().to_numpy()
-    same = np.append(False, np.diff(group[order]) == 0)[: len(order)]
-    passed = np.maximum(np.diff(seconds[order], prepend=0.0), np.finfo(float).tiny) / scale
-    kept = np.where(same, np.exp(-passed), 0.0)
-    risen = np.where(same, np.diff(known, prepend=0.0) * -np.expm1(-passed) / passed, 0.0)
-    found = np.empty(len(order))
-    found[order] = known - _accumulate(risen, kept)
-    return found
 
 
 def add_departures(rows: pd.DataFrame, departures: Array) -> pd.DataFrame:
@@ -316,21 +284,6 @@ def add_unknown_history(rows: pd.DataFrame) -> pd.DataFrame:
         steps_before=np.nan,
         **dict.fromkeys(("before_load", "session_seconds", *FURTHER_HISTORY), np.nan),
     )
-
-
-def previous_rows(group: Int64Array) -> Int64Array:
-    """Index of the previous row in the same group, -1 for a group's first.
-
-    Examples
-    --------
-    >>> previous_rows(np.array([7, 7, 2, 7, 2]))
-    array([-1,  0, -1,  1,  2])
-    """
-    order = np.argsort(group, kind="stable")
-    same = group[order[1:]] == group[order[:-1]]
-    before = np.full(len(group), -1)
-    before[order[1:][same]] = order[:-1][same]
-    return before
 
 
 def steps_before(joint: Int64Array, steps: Int64Array) -> Int64Array:

@@ -16,7 +16,7 @@ from stickslip_fit.estimation import Result
 from stickslip_fit.laws import StepLaw
 from stickslip_fit.logs import drives
 from stickslip_fit.logs._files import SourcePath
-from stickslip_fit.logs.history import CHANGES, PAST, condition_of
+from stickslip_fit.logs.history import LATE_TEMPERATURE, PAST, condition_of
 from stickslip_fit.logs.schema import COVARIATE_PREFIX, ORIENTATION, is_coordinate
 from stickslip_fit.machine import Machine
 from stickslip_fit.moves.arm import CONDITION_KEYS, check_given_conditions, column_key
@@ -111,7 +111,9 @@ def fill_conditions(rows: pd.DataFrame, conditions: Mapping[str, float]) -> pd.D
     # A condition that is given has been so for long.
     for name in (name for name in PAST if condition_of(name) in conditions):
         known = rows[name] if name in rows else pd.Series(np.nan, rows.index)
-        rows = rows.assign(**{name: known.fillna(0.0 if name in CHANGES else rows[condition_of(name)])})
+        rows = rows.assign(
+            **{name: known.fillna(rows[condition_of(name)] if name in LATE_TEMPERATURE else 0.0)}
+        )
     return rows
 
 

@@ -31,6 +31,7 @@ from stickslip_fit.logs.history import (
     JOINT_NET_USE,
     JOINT_USE,
     LATE_TEMPERATURE,
+    MOVES,
     NET_USE,
     OTHER_USE,
     USE,
@@ -267,6 +268,13 @@ FURTHER_LABELS = {
             unit_of(name),
         )
         for name, (condition, seconds) in CHANGES.items()
+    },
+    **{
+        name: (
+            f"change of {coordinate} in {seconds / 60.0:.0f} min ({unit_of(name).replace('deg', '°')})",
+            unit_of(name),
+        )
+        for name, (coordinate, seconds) in MOVES.items()
     },
     **{name: (f"full travels in {seconds / 60.0:.0f} min", "") for name, seconds in USE.items()},
     **{name: (f"own full travels in {seconds / 60.0:.0f} min", "") for name, seconds in JOINT_USE.items()},

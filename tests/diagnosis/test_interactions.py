@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -148,6 +149,17 @@ def wandering(table, seed):
     return found
 
 
+def giving_way(table, minutes=8.0):
+    """Rubber feet give way to a tilt within minutes, and steps depend on what they have not yet."""
+    at, tilt = pd.to_datetime(table["time"]), table["psi_deg"].to_numpy(float)
+    order, left = at.argsort(kind="stable").to_numpy(), np.zeros(len(table))
+    for before, row in pairwise(order):
+        if table["session"].iloc[row] == table["session"].iloc[before]:
+            kept = np.exp(-(at.iloc[row] - at.iloc[before]).total_seconds() / 60.0 / minutes)
+            left[row] = left[before] * kept + tilt[row] - tilt[before]
+    return 0.02 * left / 60.0
+
+
 def late_by_supply(table):
     """The stop is heard up to 60 steps late, or as early, by a column."""
     volts = wandering(table, 3)
@@ -199,6 +211,7 @@ def diagnose_with(effect, design, joints):
         (pump_by_load, "thesis", (2, 3), {"session_seconds", "load"}),
         (charge, "session", (2,), {"net_use_20min"}),
         (settling, "session", (2, 3), {"payload_change_10min"}),
+        (giving_way, "thesis", (2, 3), {"psi_change_10min"}),
         pytest.param(warmth, "session", (2, 3), {"joint_use_20min"}, marks=pytest.mark.nightly),
         pytest.param(warmth, "many", (1, 2, 3), {"joint_use_20min"}, marks=pytest.mark.nightly),
     ],

@@ -24,7 +24,7 @@ from stickslip_fit.diagnosis.memory import AR1, Sequences
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.selection import select_causes
-from stickslip_fit.logs.history import previous_rows
+from stickslip_fit.logs.fading import previous_rows
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
 

@@ -43,7 +43,7 @@ def test_the_evidence_is_that_of_a_gaussian_process_beside_the_calibration(linea
     share = np.clip(rows["session_seconds"].to_numpy(float) / term.limits[0][1], 0.0, 1.0)
     waves = np.cos(np.pi * share[:, None] * np.arange(1, len(term.sds) + 1)) * term.sds
     same = rows["session"].to_numpy(object)[:, None] == rows["session"].to_numpy(object)
-    effects = linearized.project((waves @ waves.T * same / linearized.scale[:, None] / linearized.scale))
+    effects = linearized.project(waves @ waves.T * same / linearized.scale[:, None] / linearized.scale)
     covariance = linearized.project(effects.T)
     covariance /= np.trace(covariance)
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from stickslip_fit.logs import add_history, read_log
-from stickslip_fit.logs.history import previous_rows
+from stickslip_fit.logs.fading import previous_rows
 
 SHARED = Path(__file__).parents[3] / "shared"
 HISTORY = ["before_direction", "before_load", "steps_before", "session_seconds"]
@@ -187,6 +187,24 @@ def test_what_a_condition_was_of_late_is_what_a_body_has_that_follows_it(read, c
         np.testing.assert_allclose(own[f"{name}_change_{minutes}min"], values - followed, atol=1e-5 * unit)
         if late in own:
             np.testing.assert_allclose(own[late], followed, atol=1e-5)
+
+
+@pytest.mark.parametrize(("coordinate", "joint"), [("theta", 0), ("q2", 2), ("q3", 3)])
+def test_how_a_coordinate_has_changed_is_unknown_where_its_joint_moves(read, coordinate, joint):
+    """Of the others it is the coordinate less what a body has that follows it."""
+    rows = read(campaign(8).to_csv(index=False)).rows
+    own = (rows["joint"] == joint).to_numpy()
+    change = rows[f"{coordinate}_change_10min"].to_numpy()
+    np.testing.assert_array_equal(np.isnan(change), own)
+    for _, part in rows.groupby("session", observed=True):
+        at = part["session_seconds"].to_numpy()
+        values = np.where(part["joint"] == joint, part["start"], part[coordinate])
+        followed = [values[0]]
+        for (begin, end), ends in zip(pairwise(at), pairwise(values), strict=True):
+            law = lambda t, y, x=(begin, end), u=ends: (np.interp(t, x, u) - y) / 600.0  # noqa: E731
+            followed.append(solve_ivp(law, (begin, end), followed[-1:], rtol=1e-9, atol=1e-12).y[0, -1])
+        wanted = np.where(part["joint"] == joint, np.nan, values - followed)
+        np.testing.assert_allclose(change[part.index], wanted, atol=1e-6)
 
 
 def test_history_of_a_real_campaign(tmp_path):
