@@ -17,8 +17,9 @@ from numpy.polynomial.legendre import legvander
 
 from stickslip_fit._format import format_duration
 from stickslip_fit._typing import Array
-from stickslip_fit.causes import proposed
+from stickslip_fit.causes import carrier_function
 from stickslip_fit.causes.base import Cause
+from stickslip_fit.causes.carrier_function import write_expression, write_quotient
 from stickslip_fit.causes.generic import AddedTerm, GenericCause, Term, linear_term
 from stickslip_fit.causes.levels import name_levels
 from stickslip_fit.causes.parameters import CauseParameter
@@ -307,13 +308,11 @@ class ColumnFunction:
         >>> str(ColumnFunction("x^2", "speed", 14.5, 10.5)), str(ColumnFunction("log(x)", "speed", 0.0, 12.0))
         ('((speed - 14.5) / 10.5)^2', 'log(speed / 12)')
         """
-        return proposed.write_expression(
-            self.expression, proposed.write_quotient(self.column, self.middle, self.unit)
-        )
+        return write_expression(self.expression, write_quotient(self.column, self.middle, self.unit))
 
 
 EXPRESSIONS: dict[str, Callable[[Array], Array]] = {
-    **{expression: proposed.EXPRESSIONS[expression] for expression in ("x", "x^2", "|x|")},
+    **{expression: carrier_function.EXPRESSIONS[expression] for expression in ("x", "x^2", "|x|")},
     "log(x)": np.log,
 }
 

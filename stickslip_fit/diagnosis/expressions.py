@@ -16,13 +16,13 @@ import numpy as np
 
 from stickslip_fit._format import coordinate_unit, position_unit
 from stickslip_fit._typing import Array, BoolArray, IntArray, JointKinds
+from stickslip_fit.causes.carrier_function import CarrierFunction
 from stickslip_fit.causes.proposed import (
     BEFORE_DIRECTION,
     LENGTH,
     LOADS,
     POSITION,
     ZETA,
-    CarrierFunction,
     Mode,
     ProposedTerm,
 )

@@ -30,12 +30,15 @@ MIN_WAVES = 8
 def find_time_function(linearized: LinearizedFit, residual: Array) -> tuple[float, Hypothesis] | None:
     """The likeliest function of each session's time, alike or opposite by direction, and its log evidence.
 
-    Whitened residuals have shape (n,). None for a log without times, or with few traverses in each session.
+    Whitened residuals have shape (n,). None for a table, and for a log without times or with few traverses in
+    each session.
     """
     rows = linearized.rows
+    if "time" not in rows or not has_times(rows):
+        return None
     most = int(rows.groupby(rows["session"].astype(object)).size().max())
     number = min(most // TRAVERSES_PER_WAVE, MAX_WAVES)
-    if not has_times(rows) or number < MIN_WAVES:
+    if number < MIN_WAVES:
         return None
     seconds = rows["session_seconds"].to_numpy(float)
     last, sds = float(seconds.max()), _prior_sds(number)

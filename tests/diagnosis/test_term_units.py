@@ -66,6 +66,11 @@ def shown_values(row, machine):
         for minutes in (10, 40):
             changed = row.get(f"{column}_change_{minutes}min", np.nan) * scale.get(column, 1.0)
             values[f"{column.replace('_', ' ')} change in {minutes} min"] = changed
+    for coordinate in ("theta", "psi", "q1", "q2", "q3"):
+        shown = 1e3 if coordinate == "q3" else 180.0 / np.pi
+        for minutes in (10, 40):
+            changed = row.get(f"{coordinate}_change_{minutes}min", np.nan)
+            values[f"{coordinate} change in {minutes} min"] = shown * changed
     for minutes in (10, 20, 40, 80):
         values[f"temperature {minutes}min"] = row[f"temperature_{minutes}min"] - 273.15
     if "q2" in values:
