@@ -35,7 +35,7 @@ def degrees(function):
 def evaluate(formula, values):
     """A formula by hand: in it are values in the units in which they are shown, and angles in degrees."""
     text, *_ = formula.split(", ")
-    text = re.sub(r"(?<=\d) (?:°C|K|h|ms|%|V|g)(?=[)|\s]|$)", "", text).replace("/ s)", ")")
+    text = re.sub(r"(?<=\d) (?:°C|K|h|ms|%|V|g|deg|mm)(?=[)|\s]|$)", "", text).replace("/ s)", ")")
     text = re.sub(r"\|([^|]*)\|", r"abs(\1)", text).replace("^", "**")
     names = sorted(values, key=len, reverse=True)
     text = re.sub("|".join(map(re.escape, names)), lambda match: f"values[{match[0]!r}]", text)
