@@ -151,7 +151,7 @@ class GuideProfileCause(PositionCause):
         """See `Cause.changes`: where profiles alone vary along the guide, a stretch counts once."""
         active = law.active_causes if isinstance(law, ExtendedLaw) else []
         along = [(cause, columns) for cause, columns in active if cause.varies_along_traverse]
-        if any(isinstance(cause, CountCause) for cause, _ in active) or not all(
+        if any(cause.acts_at == "count" for cause, _ in active) or not all(
             isinstance(cause, GuideProfileCause) for cause, _ in along
         ):
             return super().changes(law, rows, values, trials)

@@ -26,7 +26,7 @@ from scipy.special import chdtrc, logsumexp
 
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause
-from stickslip_fit.causes.kinds import CountCause, FactorCause, StateCause
+from stickslip_fit.causes.kinds import FactorCause
 from stickslip_fit.causes.load import PayloadChange
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
@@ -249,6 +249,8 @@ def _course(selection: Selection, version: Cause, values: Array) -> Array | None
     known = columns <= COURSE_COLUMNS or all(name.startswith(COVARIATE_PREFIX) for name in columns)
     if not (known and columns and isinstance(version, FactorCause | PayloadChange)):
         return None
+    if version.acts_at == "count":
+        return None
     course = np.zeros(len(selection.problem))
     for part in selection.problem.parts:
         if not version.acts_on(part.law):
@@ -280,7 +282,7 @@ def _read(
     for one in selection.law_causes:
         if one.cause in causes:
             effect += term_change(selection, one.version)
-        elif one.cause in courses or isinstance(one.version, CountCause | StateCause):
+        elif one.cause in courses or one.version.acts_at in ("count", "state"):
             response -= term_change(selection, one.version)  # all else may be what the physical law is about
     ways = (problem.rows["direction"] == "-").to_numpy()
     prints = []

@@ -22,7 +22,7 @@ from stickslip_fit.causes.parameters import FIRST_TRAVERSE, REQUIRED_HISTORY
 from stickslip_fit.errors import InputError, InputIssue, check_type, suggest
 from stickslip_fit.estimation import Result
 from stickslip_fit.laws import StepLaw
-from stickslip_fit.logs.history import condition_of
+from stickslip_fit.logs.history import MOVES, condition_of
 from stickslip_fit.logs.schema import CONDITION_SPELLINGS, COVARIATE_PREFIX
 from stickslip_fit.machine import Machine, mean_load
 from stickslip_fit.machine.machine import PREDICT_DRIVES
@@ -276,7 +276,7 @@ REQUIRED_CONDITIONS = (*REQUIRED_HISTORY, "step_period")  # given, or the plan's
 def required_columns(laws: Iterable[StepLaw]) -> tuple[str, ...]:
     """Columns of a log, beside positions and angles, on which laws depend."""
     causes = [cause for law in laws if isinstance(law, ExtendedLaw) for cause, _ in law.active_causes]
-    names = (condition_of(name) for cause in causes for name in cause.columns)
+    names = (condition_of(name) for cause in causes for name in cause.columns if name not in MOVES)
     return tuple(dict.fromkeys(name for name in names if name not in OWN_COLUMNS))
 
 

@@ -79,6 +79,17 @@ def test_steps_are_added_whatever_the_length_of_a_traverse():
     np.testing.assert_allclose(slopes, (forward / before)[:, None] * [1.0, 1.0], rtol=1e-9)
 
 
+@pytest.mark.parametrize("label", ["guide-gradient", "worn-spot"])
+def test_a_profile_beside_added_steps_changes_what_is_left_of_the_counts(label):
+    cause, trials = NAMED[label].cause, np.array(NAMED[label].values)
+    rows = ROWS[ROWS["joint"] == 3]
+    law = extend(LAWS[3], AddedSteps(("q1",), ((1e3, 1e4),), on=((3, "+"),)))
+    values = np.column_stack([own_values(rows), np.full(len(rows), 300.0)])
+    extended = np.concatenate([values, np.tile(trials[0], (len(rows), 1))], axis=1)
+    wanted = extend(law, cause).predict(rows, extended) - law.predict(rows, values)
+    np.testing.assert_allclose(cause.changes(law, rows, values, trials[:1])[:, 0], wanted, atol=2e-11)
+
+
 def test_functions_of_sessions_act_on_all_joints_where_none_is_named():
     rows = ROWS[ROWS["joint"] == 2]
     far = SmoothTerm(limits=((0.0, 1e9),), sessions=tuple(dict.fromkeys(ROWS["session"])))

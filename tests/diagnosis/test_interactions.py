@@ -232,6 +232,12 @@ def test_a_payload_that_is_kept_is_a_condition_of_a_law_that_follows_its_changes
         parse_conditions(["supply_V=60"], law, "--condition")
 
 
+def test_a_tilt_is_no_condition_of_a_law_that_follows_its_changes():
+    law = diagnose_with(giving_way, "thesis", (2, 3)).extended_law()
+    with pytest.raises(InputError, match="nothing beside positions and angles; leave psi_deg out"):
+        parse_conditions(["psi_deg=0"], law, "--condition")
+
+
 def test_steps_that_a_column_adds_to_counts_are_told_from_a_step_size_that_follows_it():
     log, fresh = (read_with(late_by_supply, "many", (3,), 4, replicate) for replicate in (0, 1))
     found = diagnose(log, gain=False)
