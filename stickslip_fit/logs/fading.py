@@ -59,7 +59,8 @@ class Fading:
         known = values
         if not np.isfinite(values).all():
             known = pd.Series(values).groupby(self.group).ffill().to_numpy()
-        return np.asarray(known - self._sum((known - known[self._before]) * self._rise))
+        rises = np.nan_to_num(known - known[self._before])  # the first known one is no rise
+        return np.asarray(known - self._sum(rises * self._rise))
 
     @cached_property
     def _before(self) -> Int64Array:
