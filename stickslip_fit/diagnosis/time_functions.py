@@ -25,6 +25,9 @@ SMOOTH_LENGTHS = (0.2, 0.08, 0.04, 0.02)
 ROUGH_LENGTHS = (1.0, 0.3, 0.1, 0.03, 0.01)
 TRAVERSES_PER_WAVE, MAX_WAVES = 2, 100  # waves of a session: every half period of the finest has a traverse
 MIN_WAVES = 8
+# Of the waves of all sessions, with which a law is fitted, and of the functions that are tried: a log of many
+# sessions or rows has coarser ones.
+MAX_COEFFICIENTS, MAX_ELEMENTS = 400, 20_000_000
 
 
 def find_time_function(linearized: LinearizedFit, residual: Array) -> tuple[float, Hypothesis] | None:
@@ -37,7 +40,13 @@ def find_time_function(linearized: LinearizedFit, residual: Array) -> tuple[floa
     if "time" not in rows or not has_times(rows):
         return None
     most = int(rows.groupby(rows["session"].astype(object)).size().max())
-    number = min(most // TRAVERSES_PER_WAVE, MAX_WAVES)
+    n_lengths = len(SMOOTH_LENGTHS) + len(ROUGH_LENGTHS)
+    number = min(
+        most // TRAVERSES_PER_WAVE,
+        MAX_WAVES,
+        MAX_COEFFICIENTS // rows["session"].nunique(),
+        MAX_ELEMENTS // (n_lengths * len(rows)),
+    )
     if number < MIN_WAVES:
         return None
     seconds = rows["session_seconds"].to_numpy(float)
