@@ -173,8 +173,8 @@ def _added_to_counts(
     for carrier in carriers:
         if carrier.name not in (*ALONG, LENGTH):
             term, columns = _smooth_functions(carrier, LENGTHS[0])
-            share = STEPS_SCALE / SMOOTH_SCALE / steps
-            yield f"steps added by {carrier.name}", AddedSteps.of(term), columns * share[:, None]
+            columns = STEPS_SCALE / SMOOTH_SCALE * columns / steps[:, None]
+            yield f"steps added by {carrier.name}", AddedSteps.of(term), columns
 
 
 def _interactions(one: str, other: str) -> Sequence[tuple[tuple[int, int], ...]]:
@@ -355,11 +355,8 @@ class _Builder:
 
     def shapes(self, effects: _Effects) -> list[Hypothesis]:
         """The ways in which joints and directions may share some functions."""
-        name, term, found = effects.name, effects.term, self.of_all(effects)
-        for direction in SIGNS:
-            on = tuple((joint, direction) for joint in self.joints)
-            one_way = self.subspace(effects, _Group(direction=direction))
-            found.append(self.make(f"{name}, {direction} only", replace(term, on=on), [one_way]))
+        name, term = effects.name, effects.term
+        found = [*self.of_all(effects), *self.of_each_way(effects)]
         groups: dict[tuple[int, str], _Subspace] = {}
         for joint in self.joints:
             ways, own = self.of_joint(joint, effects)
@@ -372,26 +369,28 @@ class _Builder:
 
     def broad(self, effects: _Effects) -> list[Hypothesis]:
         """As `shapes`, without those of one direction."""
-        found = self.of_all(effects)
-        for joint in self.joints if len(self.joints) > 1 else ():
-            on = replace(effects.term, on=((joint, "+"), (joint, "-")))
-            own = self.subspace(effects, _Group(joint))
-            found.append(self.make(f"{effects.name}, joint {joint}", on, [own]))
+        found = [*self.of_all(effects), *self.of_single_joints(effects)]
         return [one for one in found if one is not None]
 
     def added(self, effects: _Effects) -> list[Hypothesis]:
         """Functions of all joints, of each direction and of each joint."""
-        name, term = effects.name, effects.term
-        found = [self.make(name, term, [self.subspace(effects, EVERY_ROW)])]
-        for direction in SIGNS:
-            on = tuple((joint, direction) for joint in self.joints)
-            one_way = self.subspace(effects, _Group(direction=direction))
-            found.append(self.make(f"{name}, {direction} only", replace(term, on=on), [one_way]))
-        for joint in self.joints if len(self.joints) > 1 else ():
-            on = ((joint, "+"), (joint, "-"))
-            own = self.subspace(effects, _Group(joint))
-            found.append(self.make(f"{name}, joint {joint}", replace(term, on=on), [own]))
+        whole = self.make(effects.name, effects.term, [self.subspace(effects, EVERY_ROW)])
+        found = [whole, *self.of_each_way(effects), *self.of_single_joints(effects)]
         return [one for one in found if one is not None]
+
+    def of_each_way(self, effects: _Effects) -> Iterator[Hypothesis | None]:
+        """Functions of all joints in one direction."""
+        for direction in SIGNS:
+            on = replace(effects.term, on=tuple((joint, direction) for joint in self.joints))
+            one_way = self.subspace(effects, _Group(direction=direction))
+            yield self.make(f"{effects.name}, {direction} only", on, [one_way])
+
+    def of_single_joints(self, effects: _Effects) -> Iterator[Hypothesis | None]:
+        """Functions of one joint of several, in both directions."""
+        for joint in self.joints if len(self.joints) > 1 else ():
+            on = replace(effects.term, on=((joint, "+"), (joint, "-")))
+            own = self.subspace(effects, _Group(joint))
+            yield self.make(f"{effects.name}, joint {joint}", on, [own])
 
     def of_all(self, effects: _Effects) -> list[Hypothesis | None]:
         """Functions of all joints, opposite by direction and alike."""

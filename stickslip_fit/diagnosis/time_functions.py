@@ -24,7 +24,7 @@ from stickslip_fit.logs.schema import has_times
 SMOOTH_LENGTHS = (0.2, 0.08, 0.04, 0.02)
 ROUGH_LENGTHS = (1.0, 0.3, 0.1, 0.03, 0.01)
 TRAVERSES_PER_WAVE, MAX_WAVES = 2, 100  # waves of a session: every half period of the finest has a traverse
-MIN_WAVES = 8
+MIN_WAVES, MIN_PRIOR_SD = 8, 1e-4  # a wave of a smaller one, relative to the largest, is left out: 0 is none
 # Of the waves of all sessions, with which a law is fitted, and of the functions that are tried: a log of many
 # sessions or rows has coarser ones.
 MAX_COEFFICIENTS, MAX_ELEMENTS = 400, 20_000_000
@@ -53,9 +53,11 @@ def find_time_function(linearized: LinearizedFit, residual: Array) -> tuple[floa
     last, sds = float(seconds.max()), _prior_sds(number)
     waves = cosines(seconds, 0.0, last, number) / linearized.scale[:, None]
     sessions = tuple(map(str, dict.fromkeys(rows["session"].astype(object))))
-    orders = tuple((k,) for k in range(1, number + 1))
-    plain = SmoothTerm(("session_seconds",), ((0.0, last),), orders, sessions=sessions)
-    same = [replace(plain, sds=tuple(own.tolist())) for own in sds]
+    plain = SmoothTerm(("session_seconds",), ((0.0, last),), sessions=sessions)
+    kept = [own[own > 0].tolist() for own in sds]
+    same = [
+        replace(plain, orders=tuple((k,) for k in range(1, len(own) + 1)), sds=tuple(own)) for own in kept
+    ]
     opposite = [replace(one, mode="opposite") for one in same]
     own_sessions = list(split_sessions(linearized).values())
     found = []
@@ -69,8 +71,8 @@ def find_time_function(linearized: LinearizedFit, residual: Array) -> tuple[floa
 
 
 def _prior_sds(number: int) -> list[Array]:
-    """Of the coefficients of so many waves, for each correlation length."""
+    """Of the coefficients of so many waves, for each correlation length; 0 of those that are left out."""
     orders = np.pi * np.arange(1, number + 1)
     smooth = [np.exp(-((orders * length) ** 2) / 4.0) for length in SMOOTH_LENGTHS]
     rough = [1.0 / np.sqrt(1.0 + (orders * length) ** 2) for length in ROUGH_LENGTHS]
-    return [SMOOTH_SCALE * one for one in (*smooth, *rough)]
+    return [SMOOTH_SCALE * np.where(one < MIN_PRIOR_SD * one[0], 0.0, one) for one in (*smooth, *rough)]
