@@ -89,7 +89,8 @@ def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
     columns = [name for name in (*CONDITIONS, *own) if name in rows]
     history = [name for name in HISTORY if name in rows and rows[name].notna().all()]
     history += [name for name in FURTHER_OF_TRAVERSE if name in rows and rows[name].notna().any()]
-    history = [name for name in history if name not in PAST or _differs_from_condition(rows, name)]
+    session = pd.factorize(rows["session"].astype(object))[0]
+    history = [name for name in history if name not in PAST or _differs_from_condition(rows, name, session)]
     # Where one joint moves, what it did is what all did: of columns that are the same one is enough.
     history = list({rows[name].to_numpy().tobytes(): name for name in reversed(history)}.values())[::-1]
     # A machine without the published geometry has no gravity load.
@@ -129,11 +130,14 @@ def _along_traverses(n: int, states: Sequence[tuple[IntArray, State]], name: str
     return values
 
 
-def _differs_from_condition(rows: pd.DataFrame, name: str) -> bool:
+def _differs_from_condition(rows: pd.DataFrame, name: str, session: IntArray) -> bool:
     """Whether a condition's past is clearly another than the condition, in its sessions."""
-    session = rows["session"].astype(object)
-    both = [rows[one] - rows[one].groupby(session).transform("mean") for one in (condition_of(name), name)]
-    return bool(abs(both[0].corr(both[1])) < MAX_LIKE_CONDITION)
+    both = np.stack([rows[column].to_numpy(float) for column in (condition_of(name), name)])
+    known = np.isfinite(both).all(axis=0)
+    both, session = both[:, known], session[known]
+    rows_of = np.maximum(np.bincount(session), 1)
+    own, past = (one - (np.bincount(session, one) / rows_of)[session] for one in both)
+    return bool(abs(own @ past) < MAX_LIKE_CONDITION * np.sqrt((own @ own) * (past @ past)))
 
 
 def _make_carrier(name: str, values: Array) -> Carrier | None:

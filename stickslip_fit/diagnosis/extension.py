@@ -36,10 +36,11 @@ from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
     Misfit,
     StructureRemoved,
-    compute_misfit,
+    compute_p_value,
     drop_single_rows,
     may_bend,
     remove_structure,
+    weigh_evidence,
 )
 from stickslip_fit.diagnosis.noise import NoiseEstimate
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
@@ -130,22 +131,45 @@ def assess_residuals(
     rng: np.random.Generator,
     without: Sequence[str] = (),
     max_exceedances: int | None = None,
+) -> Misfit:
+    """The misfit test over every cause except some, and over the unstructured alternatives."""
+    misfit = compute_evidence(linearized, problem, without)
+    return assess_evidence(misfit, linearized, problem, n_bootstrap, rng, max_exceedances)
+
+
+def compute_evidence(
+    linearized: LinearizedFit,
+    problem: DiagnosisProblem,
+    without: Sequence[str] = (),
     effects: Sequence[FiniteEffects] | None = None,
 ) -> Misfit:
-    """The misfit test over every cause except some, and over the unstructured alternatives.
+    """As `assess_residuals`, without a p-value.
 
     `effects` are those of the causes, if they are known already from another fit with the same laws and rows.
     """
     if effects is None:
         causes = [cause for cause in problem.causes if cause.name not in without]
         effects = compute_finite_effects(linearized, causes)
-    chosen = problem.trimmed or problem.skewness is not None or np.any(problem.noise_ratio != 1)
-    factor = SELECTION_FACTOR if chosen else 1
     alternatives = attribute_to_causes(problem.alternatives(linearized), problem.causes, without)
     candidates = build_candidates(linearized, effects)
-    misfit = compute_misfit(
+    misfit = weigh_evidence(linearized, drop_single_rows([*candidates.hypotheses, *alternatives]))
+    return replace(misfit, failed=candidates.failed)
+
+
+def assess_evidence(
+    misfit: Misfit,
+    linearized: LinearizedFit,
+    problem: DiagnosisProblem,
+    n_bootstrap: int,
+    rng: np.random.Generator,
+    max_exceedances: int | None = None,
+) -> Misfit:
+    """The `misfit` of a fit with its p-value, in noise as the problem has it."""
+    chosen = problem.trimmed or problem.skewness is not None or np.any(problem.noise_ratio != 1)
+    factor = SELECTION_FACTOR if chosen else 1
+    return compute_p_value(
+        misfit,
         linearized,
-        drop_single_rows([*candidates.hypotheses, *alternatives]),
         factor * n_bootstrap,
         rng,
         max_exceedances,
@@ -153,7 +177,6 @@ def assess_residuals(
         skewed=problem.skewness is not None,
         quantization=problem.quantization(linearized),
     )
-    return replace(misfit, failed=candidates.failed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,22 +353,12 @@ def _changes_of_smooth(linearized: LinearizedFit, term: SmoothTerm, alike: dict[
     return changes
 
 
-def compute_evidence(
-    linearized: LinearizedFit,
-    problem: DiagnosisProblem,
-    without: Sequence[str] = (),
-    effects: Sequence[FiniteEffects] | None = None,
-) -> Misfit:
-    """As `assess_residuals`, without a p-value."""
-    return assess_residuals(linearized, problem, 0, np.random.default_rng(0), without, effects=effects)
-
-
 def add_candidates(
     hypotheses: Sequence[Hypothesis | AR1], linearized: LinearizedFit, effects: Sequence[FiniteEffects]
 ) -> Misfit:
     """The evidence of some hypotheses, and of more effects of causes; no p-value."""
     every = drop_single_rows([*hypotheses, *build_candidates(linearized, effects).hypotheses])
-    return compute_misfit(linearized, every, 0, np.random.default_rng(0))
+    return weigh_evidence(linearized, every)
 
 
 def compute_finer_effects(linearized: LinearizedFit, misfit: Misfit) -> list[FiniteEffects]:

@@ -79,6 +79,9 @@ SMOOTHING_SD = 0.2  # of resampled residuals, in units of the noise
 CLEAR_SHARE = 2 / 3
 # Of few samples a single one would decide: with so few of them above the statistic, there are more.
 MIN_DECISIVE_SAMPLES, FEW_EXCEEDANCES = 1000, 5
+# Nats above all of so many samples at which more of them say nothing: in noise a Bayes factor is 1 on
+# average, so that it is K or more with a probability of at most 1 / K (Markov's inequality).
+EXTREME_LOG_EVIDENCE, FEW_SAMPLES = 30.0, 500
 MIN_STUDENT_SAMPLES = 2000  # few samples would let one of them decide
 # Bootstrap samples at a time, and coefficients in them; for larger arrays the system clears memory each time.
 BATCH_SIZE, MAX_ELEMENTS = 250, 8_000_000
@@ -303,30 +306,52 @@ def compute_misfit(
     n_bootstrap: int,
     rng: np.random.Generator,
     max_exceedances: int | None = None,
+) -> Misfit:
+    """Test the residuals of a fit by `n_bootstrap` samples; 0 gives no p-value (NaN)."""
+    misfit = weigh_evidence(linearized, hypotheses)
+    return compute_p_value(misfit, linearized, n_bootstrap, rng, max_exceedances) if n_bootstrap else misfit
+
+
+def weigh_evidence(linearized: LinearizedFit, hypotheses: Sequence[Hypothesis | AR1]) -> Misfit:
+    """The evidence of the residuals of a fit for some hypotheses; no p-value (NaN)."""
+    # A law with as many parameters as rows fits anything; one that leaves nothing has nothing to be tested.
+    if not hypotheses or linearized.df < 1 or linearized.fits_exactly:
+        return Misfit(linearized.residual, (), np.zeros(0), {}, 1.0, np.zeros(0), basis=linearized.basis)
+    batch = batch_hypotheses(hypotheses, linearized.df)
+    causes = [classify_cause(hypothesis) for hypothesis in hypotheses]
+    own = batch.log_evidence(linearized.residual[:, None])[:, 0]
+    by_cause = average_by_cause(causes, weigh_hypotheses(hypotheses, causes), own)
+    return Misfit(
+        linearized.residual, tuple(hypotheses), own, by_cause, np.nan, np.zeros(0), basis=linearized.basis
+    )
+
+
+def compute_p_value(
+    misfit: Misfit,
+    linearized: LinearizedFit,
+    n_bootstrap: int,
+    rng: np.random.Generator,
+    max_exceedances: int | None = None,
     p_value_factor: float = 1.0,
     *,
     skewed: bool = False,
     quantization: Quantization | None = None,
 ) -> Misfit:
-    """Test the residuals of a fit by `n_bootstrap` samples; 0 gives no p-value (NaN).
+    """The `misfit` of a fit with its p-value, from `n_bootstrap` samples of noise.
 
     After `max_exceedances` samples above the log's statistic the bootstrap ends (J. Besag and P.
-    Clifford, Biometrika 78:301, 1991), and where it is far above all of `CLEAR_SHARE` of the samples.
-    Both only ever make the p-value larger than that of all samples. `p_value_factor` is that of `Misfit`.
-    Noise that is `skewed`, or rounded by a `quantization`, is simulated as such.
+    Clifford, Biometrika 78:301, 1991), and where it is far above all of `CLEAR_SHARE` of the samples; where
+    it is extremely far above `FEW_SAMPLES`, those count as so many. All of this only ever makes the p-value
+    larger than that of all samples. `p_value_factor` is that of `Misfit`. Noise that is `skewed`, or rounded
+    by a `quantization`, is simulated as such.
     """
-    # A law with as many parameters as rows fits anything; one that leaves nothing has nothing to be tested.
-    if not hypotheses or linearized.df < 1 or linearized.fits_exactly:
-        return Misfit(
-            linearized.residual, (), np.zeros(0), {}, 1.0, np.zeros(0), p_value_factor, linearized.basis
-        )
+    hypotheses, own = misfit.hypotheses, misfit.log_evidence
+    if not hypotheses:
+        return replace(misfit, p_value_factor=p_value_factor)
     batch = batch_hypotheses(hypotheses, linearized.df)
     causes = [classify_cause(hypothesis) for hypothesis in hypotheses]
     weight = weigh_hypotheses(hypotheses, causes)
-    own = batch.log_evidence(linearized.residual[:, None])[:, 0]
-    by_cause = average_by_cause(causes, weight, own)
     weight += np.log([UNKNOWN_WEIGHT if cause == UNKNOWN else 1.0 for cause in causes])
-    null, share = np.zeros(0), np.nan
     # In noise that persists, what changes at once and stays so is one row far out, whitened.
     bound = MAX_DEVIATION if linearized.noise_filter is None else np.inf
 
@@ -337,36 +362,42 @@ def compute_misfit(
         for first in range(0, number, size):
             noise = winsorize(draw_noise(min(size, number - first)), bound)
             null = np.concatenate([null, batch.log_mean_evidence(linearized.project(noise), weight)])
-            is_clear = len(null) >= enough and statistic > null.max() + MAX_DOUBTFUL_LOG_EVIDENCE
-            exceedances = int(np.sum(null[before:] >= statistic))
-            if max_exceedances is not None and (is_clear or exceedances >= max_exceedances):
+            above = statistic - null.max()
+            if max_exceedances is None:
+                continue
+            if above > MAX_DOUBTFUL_LOG_EVIDENCE and len(null) >= enough:
+                break
+            if above > EXTREME_LOG_EVIDENCE and len(null) >= FEW_SAMPLES:
+                return null, 1.0 / (1.0 + max(enough, len(null)))
+            if int(np.sum(null[before:] >= statistic)) >= max_exceedances:
                 break
         return null, (1 + int(np.sum(null >= statistic))) / (1 + len(null))
 
-    if n_bootstrap:
-        left = remove_structure(linearized.residual, hypotheses, own, linearized.df)
-        shrinkage = np.sqrt(1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE))
-        standardized = left.residual / shrinkage
-        within = linearized.project(winsorize(linearized.residual / shrinkage, bound) * shrinkage)
-        statistic = float(batch.log_mean_evidence(within[:, None], weight)[0])
-        wild = _make_wild_sampler(linearized, left, rng)
-        student = _make_student_sampler(standardized, rng)
-        sampler = wild or student
-        null, share = simulate(sampler, n_bootstrap, null)
-        if 0 < np.sum(null >= statistic) <= FEW_EXCEEDANCES and n_bootstrap < MIN_DECISIVE_SAMPLES:
-            null, share = simulate(sampler, MIN_DECISIVE_SAMPLES - n_bootstrap, null)
-        doubtful = statistic < null.max() + MAX_DOUBTFUL_LOG_EVIDENCE or skewed or quantization is not None
-        if wild is not None and p_value_factor * share < MAX_DOUBTFUL_P_VALUE and doubtful:
-            number = max(n_bootstrap, MIN_STUDENT_SAMPLES)
-            sampler = _make_resampler(standardized, rng) if skewed else student
-            if quantization is not None:
-                sampler = _make_rounding_sampler(sampler, quantization)
-            heavy_tailed, its_share = simulate(sampler, number, null[:0])
-            if its_share > share:
-                null, share = heavy_tailed, its_share
-    p_value = min(p_value_factor * share, 1.0)
-    return Misfit(
-        linearized.residual, tuple(hypotheses), own, by_cause, p_value, null, p_value_factor, linearized.basis
+    left = remove_structure(linearized.residual, hypotheses, own, linearized.df)
+    shrinkage = np.sqrt(1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE))
+    standardized = left.residual / shrinkage
+    within = linearized.project(winsorize(linearized.residual / shrinkage, bound) * shrinkage)
+    statistic = float(batch.log_mean_evidence(within[:, None], weight)[0])
+    wild = _make_wild_sampler(linearized, left, rng)
+    student = _make_student_sampler(standardized, rng)
+    sampler = wild or student
+    null, share = simulate(sampler, n_bootstrap, np.zeros(0))
+    if 0 < np.sum(null >= statistic) <= FEW_EXCEEDANCES and n_bootstrap < MIN_DECISIVE_SAMPLES:
+        null, share = simulate(sampler, MIN_DECISIVE_SAMPLES - n_bootstrap, null)
+    doubtful = statistic < null.max() + MAX_DOUBTFUL_LOG_EVIDENCE or skewed or quantization is not None
+    if wild is not None and p_value_factor * share < MAX_DOUBTFUL_P_VALUE and doubtful:
+        number = max(n_bootstrap, MIN_STUDENT_SAMPLES)
+        sampler = _make_resampler(standardized, rng) if skewed else student
+        if quantization is not None:
+            sampler = _make_rounding_sampler(sampler, quantization)
+        heavy_tailed, its_share = simulate(sampler, number, null[:0])
+        if its_share > share:
+            null, share = heavy_tailed, its_share
+    return replace(
+        misfit,
+        p_value=min(p_value_factor * share, 1.0),
+        null_log_evidence=null,
+        p_value_factor=p_value_factor,
     )
 
 

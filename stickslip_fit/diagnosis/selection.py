@@ -21,6 +21,7 @@ import numpy as np
 
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import CarryOverTerm
+from stickslip_fit.diagnosis.baseline import reduce_noise, reestimate_noise
 from stickslip_fit.diagnosis.cause_set import CauseSet, form_cause_set
 from stickslip_fit.diagnosis.combinations import (
     PAIR_MIN_LOG_BAYES_FACTOR,
@@ -39,11 +40,9 @@ from stickslip_fit.diagnosis.extension import (
     SelectedCause,
     absorb_unknown,
     add_candidates,
+    assess_evidence,
     assess_residuals,
-    compute_evidence,
-    compute_finer_effects,
     expect_noise,
-    explain_unevenness,
     extend_problem,
     law_causes,
     make_selected,
@@ -53,7 +52,6 @@ from stickslip_fit.diagnosis.extension import (
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.function_law import follow_function
 from stickslip_fit.diagnosis.hypotheses import (
-    FiniteEffects,
     compute_changes,
     compute_finite_effects,
 )
@@ -64,12 +62,11 @@ from stickslip_fit.diagnosis.linearized import (
     LinearizedFit,
     rms,
 )
-from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, StructureRemoved, remove_structure
-from stickslip_fit.diagnosis.noise import NoiseEstimate, explains_more, find_outliers, find_runs
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
+from stickslip_fit.diagnosis.noise import find_outliers, find_runs
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term
 from stickslip_fit.diagnosis.refits import Refits, refit_likeliest
-from stickslip_fit.diagnosis.testability import MIN_DF
 from stickslip_fit.estimation.result import OUTLYING_SD
 from stickslip_fit.units import Z_95
 
@@ -79,7 +76,6 @@ MAX_OWN_PARAMETERS, ROWS_PER_PARAMETER = 24, 6
 # Bootstrap samples above the statistic, after which a test ends: where a diagnosis's p-value is below its
 # share of the rate, at most 22 lie above, so that no decision depends on the rest.
 MAX_EXCEEDANCES = 50
-MAX_NOISE_LEFT = 0.8  # of the noise, without structure, for which tests are made anew
 SWOLLEN_NOISE_LEFT = 0.1  # of the noise, without gross errors that were taken for it
 MAX_LEFT_OF_BOTH = 0.5  # of a cause and of a function without a name that cancel each other
 MIN_FREE = 1e-3  # of a row, one less its leverage
@@ -190,8 +186,8 @@ def select_causes(
 def _select(
     problem: DiagnosisProblem, alpha: float, n_bootstrap: int, rng: np.random.Generator, trusted: IntArray
 ) -> Selection:
-    effects = compute_finite_effects(problem.linearize(), problem.causes)
-    problem, linearized, residual = _reestimate_noise(problem, effects)
+    baseline = reestimate_noise(problem)
+    problem, linearized, residual = baseline.problem, baseline.linearized, baseline.residual
     test = find_outliers(linearized, residual, problem.noise_group, n_bootstrap, rng)
     beside = np.column_stack([residual, linearized.residual])
     alone = test.rows[~find_runs(test.rows, problem.smooth_columns, beside)]
@@ -201,14 +197,11 @@ def _select(
     misfires: list[SelectedCause] = []
     if len(outlying) and test.p_value < OUTLIER_ALPHA_SHARE * alpha:
         outliers = outlying
-        problem = _in_noise_left(problem.without_rows(outliers)).with_autocorrelation()
-        effects = compute_finite_effects(problem.linearize(), problem.causes)
-        problem, linearized, _ = _reestimate_noise(problem, effects)
+        baseline = reestimate_noise(_in_noise_left(problem.without_rows(outliers)).with_autocorrelation())
+        problem, linearized = baseline.problem, baseline.linearized
         misfires = [select_outliers(problem, outlier_p_value)]
-    first = assess_residuals(
-        linearized, problem, n_bootstrap, rng, max_exceedances=MAX_EXCEEDANCES, effects=effects
-    )
-    del effects  # as large as all hypotheses
+    first = assess_evidence(baseline.weigh(), linearized, problem, n_bootstrap, rng, MAX_EXCEEDANCES)
+    del baseline  # as large as all hypotheses
     p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     search = _ForwardSelection(Extension(problem, problem.fit_extended()), first, alpha, n_bootstrap, rng)
     search.add_causes()
@@ -254,7 +247,7 @@ class _ForwardSelection:
     ) -> tuple[Extension, Misfit]:
         """An extension and its test, in the noise without the structure that this finds."""
         test = self.assess(extension, selected)
-        if test.p_value < self.level and (quieter := _reduce_noise(extension, selected, test)):
+        if test.p_value < self.level and (quieter := reduce_noise(extension, selected, test)):
             return quieter, self.assess(quieter, selected)
         return extension, test
 
@@ -517,67 +510,10 @@ def refit_selection(selection: Selection, selected: tuple[SelectedCause, ...]) -
         extension = extend_problem(selection.problem, selected)
         problem, fit, linearized = extension.problem, extension.fit, extension.linearized
     else:
-        problem, linearized, _ = _reestimate_noise(selection.problem)
+        baseline = reestimate_noise(selection.problem)
+        problem, linearized = baseline.problem, baseline.linearized
         fit = problem.fit_extended()
     return replace(selection, problem=problem, selected=selected, fit=fit, linearized=linearized)
-
-
-def _reestimate_noise(
-    problem: DiagnosisProblem, effects: list[FiniteEffects] | None = None
-) -> tuple[DiagnosisProblem, LinearizedFit, Array]:
-    """The problem with re-estimated noise, its fit, and its residuals without structure.
-
-    The residuals are in units of the largest noise that their configuration may have. `effects` are as of
-    `assess_residuals`; those of finer trials are added.
-    """
-    for _ in range(2):
-        linearized = problem.linearize()
-        misfit = compute_evidence(linearized, problem, effects=effects)
-        if effects is not None and (finer := compute_finer_effects(linearized, misfit)):
-            # A row at a sudden change would be an outlier by the nearest candidate moment.
-            effects += finer
-            misfit = add_candidates(misfit.hypotheses, linearized, finer)
-        noise, left = _estimate_noise_left(problem, linearized, misfit)
-        problem = problem.with_noise(noise)
-        if np.all(noise.unevenness.ratio == 1.0):
-            break
-        # What looked like structure may be where the noise is large.
-    max_ratio = noise.heteroscedasticity.max_ratio / noise.heteroscedasticity.ratio
-    # Rows that the structure follows closely have small residuals; beside them others would look outlying.
-    known = 1.0 - np.minimum(linearized.leverage, MAX_LEVERAGE)
-    followed = np.minimum(left.leverage / known, MAX_LEVERAGE)
-    residual = left.residual / np.sqrt(1.0 - followed) * linearized.scale / problem.scale / max_ratio
-    if problem.skewness is not None:
-        residual = problem.skewness.symmetrize(residual)
-    return problem, problem.linearize(), residual
-
-
-def _estimate_noise_left(
-    problem: DiagnosisProblem, linearized: LinearizedFit, misfit: Misfit
-) -> tuple[NoiseEstimate, StructureRemoved]:
-    """The noise without the likeliest structure of a test, and what that leaves."""
-    left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence, linearized.df)
-    if explains_more(linearized, left.log_evidence):
-        left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
-    noise = problem.estimate_noise(linearized, left)
-    return explain_unevenness(problem, linearized, misfit, left, noise), left
-
-
-def _reduce_noise(
-    extension: Extension, selected: Sequence[SelectedCause], misfit: Misfit
-) -> Extension | None:
-    """An extension with the noise that its residuals have without structure, if that is much smaller.
-
-    In larger noise the law for that structure would be too smooth.
-    """
-    problem = extension.problem
-    noise, _ = _estimate_noise_left(problem, absorb_unknown(extension, selected), misfit)
-    # Which rows are noisy, residuals tell that structure followed as far as it could: no new weights.
-    quieter = replace(problem, repeatability=noise.sd)
-    is_same = rms(quieter.scale) > MAX_NOISE_LEFT * rms(problem.scale)
-    if problem.autocorrelation is not None or is_same or noise.df.sum() < MIN_DF:
-        return None
-    return replace(extension, problem=quieter)
 
 
 def predict_departures(selection: Selection, problem: DiagnosisProblem, outliers: IntArray) -> Array:
