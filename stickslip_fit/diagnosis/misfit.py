@@ -53,6 +53,7 @@ from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.noise_shape import Quantization
 
 UNKNOWN = "unknown"
+OF_UNKNOWN = f"{UNKNOWN}:"
 # Standard deviations at which residuals are cut off for the p-value: of normal noise that costs 0.2 % of the
 # information.
 MAX_DEVIATION = 2.5
@@ -265,7 +266,7 @@ class Misfit:
 
 def classify_cause(hypothesis: Hypothesis | AR1) -> str:
     """The cause, or ``unknown`` for any unstructured alternative."""
-    return UNKNOWN if hypothesis.cause.startswith(f"{UNKNOWN}:") else hypothesis.cause
+    return UNKNOWN if hypothesis.cause.startswith(OF_UNKNOWN) else hypothesis.cause
 
 
 def may_bend(hypothesis: Hypothesis | AR1) -> bool:
@@ -286,14 +287,16 @@ def drop_single_rows(hypotheses: Sequence[Hypothesis | AR1]) -> list[Hypothesis 
     What is mostly in one row cannot be told from an outlier there. But a few shapes that are left would only
     stand for those that are not.
     """
+    if not hypotheses:
+        return []
     causes = list(map(classify_cause, hypotheses))
-    is_shared = [
-        not isinstance(one, Hypothesis)
-        # No row has more than the largest share, since the directions are orthonormal.
-        or one.prior_share.max(initial=0.0) <= MAX_ROW_SHARE
-        or one.largest_row_share <= MAX_ROW_SHARE
-        for one in hypotheses
-    ]
+    shares = [one.prior_share if isinstance(one, Hypothesis) else np.zeros(1) for one in hypotheses]
+    begins = np.cumsum([0, *map(len, shares[:-1])])
+    # No row has more than the largest share, since the directions are orthonormal.
+    is_shared = (np.maximum.reduceat(np.concatenate(shares), begins) <= MAX_ROW_SHARE).tolist()
+    for place in [place for place, is_wide in enumerate(is_shared) if not is_wide]:
+        shape = hypotheses[place]
+        is_shared[place] = isinstance(shape, Hypothesis) and shape.largest_row_share <= MAX_ROW_SHARE
     number, left = Counter(causes), Counter(compress(causes, is_shared))
     known = {cause for cause, count in left.items() if count >= MIN_LEFT_SHARE * number[cause]} | {UNKNOWN}
     of_known = [cause in known for cause in causes]

@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._linalg import eigh
+from stickslip_fit._records import vary
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.added_steps import STEPS_SCALE, AddedSteps
 from stickslip_fit.causes.proposed import (
@@ -363,7 +364,7 @@ class _Builder:
             found += ways
             groups |= own
         if len(groups) > 1:
-            each = replace(term, on=tuple(groups), each=True)
+            each = vary(term, on=tuple(groups), each=True)
             found.append(self.make(f"{name}, each joint and direction", each, list(groups.values())))
         return [one for one in found if one is not None]
 
@@ -381,21 +382,21 @@ class _Builder:
     def of_each_way(self, effects: _Effects) -> Iterator[Hypothesis | None]:
         """Functions of all joints in one direction."""
         for direction in SIGNS:
-            on = replace(effects.term, on=tuple((joint, direction) for joint in self.joints))
+            on = vary(effects.term, on=tuple((joint, direction) for joint in self.joints))
             one_way = self.subspace(effects, _Group(direction=direction))
             yield self.make(f"{effects.name}, {direction} only", on, [one_way])
 
     def of_single_joints(self, effects: _Effects) -> Iterator[Hypothesis | None]:
         """Functions of one joint of several, in both directions."""
         for joint in self.joints if len(self.joints) > 1 else ():
-            on = replace(effects.term, on=((joint, "+"), (joint, "-")))
+            on = vary(effects.term, on=((joint, "+"), (joint, "-")))
             own = self.subspace(effects, _Group(joint))
             yield self.make(f"{effects.name}, joint {joint}", on, [own])
 
     def of_all(self, effects: _Effects) -> list[Hypothesis | None]:
         """Functions of all joints, opposite by direction and alike."""
         name, term, whole = effects.name, effects.term, self.subspace(effects, EVERY_ROW)
-        opposite = replace(term, mode="opposite")
+        opposite = vary(term, mode="opposite")
         turned = (
             self.make(f"{name}, opposite", opposite, [whole], self.sign)
             if self.linearized.allows_opposite
@@ -408,15 +409,15 @@ class _Builder:
     ) -> tuple[list[Hypothesis], dict[tuple[int, str], _Subspace]]:
         """The same of one joint, in both directions and in each; the latter also by themselves."""
         label, term, both = f"{effects.name}, joint {joint}", effects.term, ((joint, "+"), (joint, "-"))
-        found = [self.make(label, replace(term, on=both), [self.subspace(effects, _Group(joint))])]
+        found = [self.make(label, vary(term, on=both), [self.subspace(effects, _Group(joint))])]
         own = {}
         for group in both:
             way = self.subspace(effects, _Group(*group))
-            found.append(self.make(f"{label} {group[1]}", replace(term, on=(group,)), [way]))
+            found.append(self.make(f"{label} {group[1]}", vary(term, on=(group,)), [way]))
             if way is not None:
                 own[group] = way
         if len(own) > 1:
-            each = replace(term, on=tuple(own), each=True)
+            each = vary(term, on=tuple(own), each=True)
             found.append(self.make(f"{label}, each direction", each, list(own.values())))
         return [one for one in found if one is not None], own
 
@@ -424,7 +425,7 @@ class _Builder:
         """Functions that differ from session to session, by joint."""
         found = []
         for joint in self.joints if len(self.session_of) > 1 else ():
-            on = replace(effects.term, on=((joint, "+"), (joint, "-")))
+            on = vary(effects.term, on=((joint, "+"), (joint, "-")))
             version, parts = self.of_sessions(effects, [_Group(joint)], on)
             found.append(self.make(f"{effects.name}, joint {joint}, in each session", version, parts))
         return [one for one in found if one is not None]
@@ -440,9 +441,9 @@ class _Builder:
             on, whole = ((joint, "+"), (joint, "-")), [_Group(joint)]
             ways = [_Group(joint, direction) for direction in SIGNS]
             for ending, own, groups in (
-                ("", replace(term, on=on), whole),
-                (", opposite", replace(term, on=on, mode="opposite"), whole),
-                (", each direction", replace(term, on=on, each=True), ways),
+                ("", vary(term, on=on), whole),
+                (", opposite", vary(term, on=on, mode="opposite"), whole),
+                (", each direction", vary(term, on=on, each=True), ways),
             ):
                 version, parts = self.of_sessions(effects, groups, own)
                 found[ending] = self.make(label + ending, version, parts)
@@ -456,13 +457,13 @@ class _Builder:
         """A term with functions of each session, and their effects in some groups of rows."""
         own = {
             session: [
-                self.subspace(effects, replace(group, session=session), opposite=term.mode == "opposite")
+                self.subspace(effects, vary(group, session=session), opposite=term.mode == "opposite")
                 for group in groups
             ]
             for session in self.session_of
         }
         own = {session: parts for session, parts in own.items() if any(parts)}
-        return replace(term, sessions=tuple(own)), [part for parts in own.values() for part in parts]
+        return vary(term, sessions=tuple(own)), [part for parts in own.values() for part in parts]
 
     def nested(
         self, effects: _Effects, groups: Sequence[_Group], version: SmoothTerm
@@ -484,7 +485,7 @@ class _Builder:
         across = projected[rows].T[None]
         products = across @ across.transpose(0, 2, 1)
         found = _orthonormalize(rows, across, products, np.array([EFFECT_TOL**2]), np.zeros(1))
-        return (replace(version, common=COMMON), found) if any(found) else None
+        return (vary(version, common=COMMON), found) if any(found) else None
 
     def subspace(self, effects: _Effects, group: _Group, *, opposite: bool = False) -> _Subspace | None:
         """What calibration leaves of effects in a group of rows; None where that is next to nothing."""

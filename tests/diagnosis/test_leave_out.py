@@ -15,7 +15,7 @@ from stickslip_fit.diagnosis.cross_validation import (
     select_from_training,
 )
 from stickslip_fit.diagnosis.effect_size import size_findings
-from stickslip_fit.diagnosis.extension import assess_residuals, make_selected
+from stickslip_fit.diagnosis.extension import compute_evidence, make_selected
 from stickslip_fit.diagnosis.fold_selection import log_likelihood_change, prepare_looks
 from stickslip_fit.diagnosis.gain import hold_out_configurations, select_in_fold
 from stickslip_fit.diagnosis.hypotheses import build_per_session_hypotheses, make_hypothesis, split_sessions
@@ -96,9 +96,9 @@ def test_the_evidence_is_that_of_a_log_without_the_rows(problem, out):
         "a session": np.flatnonzero(session == 1),
     }[out]
     kept = np.setdiff1d(np.arange(n), rows)
-    whole = assess_residuals(problem.linearize(), problem, 0, rng)
+    whole = compute_evidence(problem.linearize(), problem)
     smaller = problem.select_rows(kept)
-    expected = assess_residuals(smaller.linearize(), smaller, 0, rng)
+    expected = compute_evidence(smaller.linearize(), smaller)
     without = Look(whole).without(rows)
     np.testing.assert_allclose(without.residual[kept], expected.residual, atol=1e-9)
     assert not without.residual[rows].any()
@@ -122,7 +122,7 @@ def test_with_a_cause_in_the_law_the_evidence_is_that_of_a_log_without_the_rows(
 
     def assess(problem, fit):
         linearized = problem.linearize_extended(fit)
-        return assess_residuals(linearized, problem, 0, np.random.default_rng(0), ["drift"])
+        return compute_evidence(linearized, problem, ["drift"])
 
     smaller = replace(problem, parts=fit.parts).select_rows(kept)
     expected = assess(smaller, replace(fit, parts=smaller.parts))
@@ -136,7 +136,7 @@ def test_where_nothing_but_memory_is_left_to_test_its_evidence_is_that_without_t
     rows = np.arange(2, len(problem), 7)
 
     def assess(problem):
-        return assess_residuals(problem.linearize(), problem, 0, np.random.default_rng(0))
+        return compute_evidence(problem.linearize(), problem)
 
     expected = assess(only.select_rows(np.setdiff1d(np.arange(len(problem)), rows)))
     assert Look(assess(only)).without(rows).log_evidence == pytest.approx(expected.log_evidence, abs=1e-6)

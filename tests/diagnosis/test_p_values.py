@@ -72,9 +72,12 @@ def test_residuals_are_cut_off_at_multiples_of_their_own_rms():
     assert winsorize(columns[:, 0], 2.5) == pytest.approx(within[:, 0], rel=1e-12)
 
 
-@pytest.mark.parametrize("size", [0.0, 1.0, 6.0])
+@pytest.mark.parametrize("size", [0.0, 1.0, 3.3, 6.0])
 def test_a_bootstrap_that_ends_early_decides_as_the_whole_one(rows, linearize, size):
-    """It ends where so many samples lie above that no level can be reached, or where all are far below."""
+    """It ends where so many samples lie above that no level can be reached, or where all are far below.
+
+    Where they are extremely far below, a few samples count as those that are clearly enough.
+    """
     windows, noise = np.repeat(np.eye(20), 10, axis=0), np.random.default_rng(3)
     for seed in range(8):
         linearized = linearize(NOISE * (noise.standard_normal(len(rows)) + size * windows[:, 3]))
@@ -89,8 +92,12 @@ def test_a_bootstrap_that_ends_early_decides_as_the_whole_one(rows, linearize, s
         level = allocate_alpha(0.01)
         assert (early.p_value < level) == (whole.p_value < level)
         if size == 6.0:
+            assert early.p_value == 1 / 2001  # 20 for each expected false alarm at 1 %
+            assert len(early.null_log_evidence) == 500
+            assert np.log(np.mean(np.exp(early.null_log_evidence))) - early.statistic < -30
+        elif size == 3.3:
             assert early.p_value == 1 / (1 + len(early.null_log_evidence))
-            assert 2000 <= len(early.null_log_evidence) < 2500  # 20 for each expected false alarm at 1 %
+            assert 2000 <= len(early.null_log_evidence) < 2500
         elif whole.p_value < level:
             assert early.p_value == whole.p_value
         else:
