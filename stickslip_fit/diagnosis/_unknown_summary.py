@@ -51,6 +51,7 @@ from stickslip_fit.logs.history import (
     OTHER_USE,
     PAUSES,
     RECENT_USE,
+    TIME_OF_DAY,
     USE,
     unit_of,
 )
@@ -123,6 +124,7 @@ COLUMN_WORDS = {
         for name, (coordinate, seconds) in MOVES.items()
     },
     "session_seconds": "the time in the session",
+    TIME_OF_DAY: "the time of day",
     "session_order": "the number of traverses in the session",
     "joint_travel": "the joint's own travel in the session, in whole ones",
     "steps_before": "the joint's own steps so far",
@@ -470,6 +472,8 @@ def _format_carrier(name: str, row: pd.Series[Any], machine: Machine) -> str:
         whose = " of its own" if name in JOINT_NET_USE else ""
         minutes = from_si((NET_USE | JOINT_NET_USE)[name], "min")
         return f"net {value:.2f} full travels{whose} in the last {minutes:.0f} min or so"
+    if name == TIME_OF_DAY:
+        return f"{label} {int(value // 3600):02d}:{int(value % 3600 // 60):02d}"
     if name == "session_seconds":
         value, unit = from_si(value, "h"), " h"
     elif name in PAUSES:

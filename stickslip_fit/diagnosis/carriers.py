@@ -23,16 +23,17 @@ from stickslip_fit.causes.proposed import (
 from stickslip_fit.causes.smooth import cosine_sequence, cosines, prior_sds
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.laws import State, state_at
-from stickslip_fit.logs.history import FURTHER_HISTORY, PAST, condition_of
+from stickslip_fit.logs.history import FURTHER_HISTORY, PAST, TIME_OF_DAY, condition_of
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, position_columns
 
 LENGTHS = (0.25, 0.1)  # correlation lengths of functions of a carrier, of its range
 BEYOND = 0.15  # of a range of positions, by which that of its functions is wider on either side
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)  # of a carrier along a traverse
-HISTORY = ("session_seconds", "steps_before", "before_load", BEFORE_DIRECTION)
-FURTHER_OF_TRAVERSE = tuple(name for name in FURTHER_HISTORY if name != "session_order")
-# Correlation, above which a condition's past would only stand beside the condition as its rival.
-MAX_LIKE_CONDITION = 0.95
+HISTORY = ("session_seconds", TIME_OF_DAY, "steps_before", "before_load", BEFORE_DIRECTION)
+FURTHER_OF_TRAVERSE = tuple(name for name in FURTHER_HISTORY if name not in ("session_order", TIME_OF_DAY))
+# Correlation, above which a condition's past would only stand beside the condition as its rival, or the time
+# of day beside that in the session.
+MAX_ALIKE = 0.95
 SOME_VALUES = 1000  # of a carrier, among which distinct ones are counted first
 # Distinct values of a carrier with which it has all functions.
 ENOUGH_DISTINCT = 2 + len(prior_sds(min(LENGTHS) / (1.0 + 2.0 * BEYOND)))
@@ -88,6 +89,9 @@ def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
     own = [str(name) for name in rows.columns if str(name).startswith(COVARIATE_PREFIX)]
     columns = [name for name in (*CONDITIONS, *own) if name in rows]
     history = [name for name in HISTORY if name in rows and rows[name].notna().all()]
+    times = [rows[name].to_numpy() for name in ("session_seconds", TIME_OF_DAY) if name in history]
+    if len(times) > 1 and not _differ(*times):
+        history.remove(TIME_OF_DAY)
     history += [name for name in FURTHER_OF_TRAVERSE if name in rows and rows[name].notna().any()]
     session = pd.factorize(rows["session"].astype(object))[0]
     history = [name for name in history if name not in PAST or _differs_from_condition(rows, name, session)]
@@ -136,8 +140,13 @@ def _differs_from_condition(rows: pd.DataFrame, name: str, session: IntArray) ->
     known = np.isfinite(both).all(axis=0)
     both, session = both[:, known], session[known]
     rows_of = np.maximum(np.bincount(session), 1)
-    own, past = (one - (np.bincount(session, one) / rows_of)[session] for one in both)
-    return bool(abs(own @ past) < MAX_LIKE_CONDITION * np.sqrt((own @ own) * (past @ past)))
+    return _differ(*(one - (np.bincount(session, one) / rows_of)[session] for one in both))
+
+
+def _differ(one: Array, other: Array) -> bool:
+    """Whether two columns, shape (n,), are clearly not the same but for a factor and a constant."""
+    one, other = one - one.mean(), other - other.mean()
+    return bool(abs(one @ other) < MAX_ALIKE * np.sqrt((one @ one) * (other @ other)))
 
 
 def _make_carrier(name: str, values: Array) -> Carrier | None:

@@ -52,7 +52,15 @@ from stickslip_fit.diagnosis.hypotheses import (
     make_hypothesis,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.logs.history import FURTHER_HISTORY, JOINT_NET_USE, MOVES, NET_USE, PAST, condition_of
+from stickslip_fit.logs.history import (
+    FURTHER_HISTORY,
+    JOINT_NET_USE,
+    MOVES,
+    NET_USE,
+    PAST,
+    TIME_OF_DAY,
+    condition_of,
+)
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
 
 # With which a load or a column of the log may count more or less.
@@ -209,7 +217,7 @@ def interact(one: str, other: str) -> bool:
         return False
     if any(condition_of(name) in both for name in both & {*MOVES}):
         return True
-    if not both & {*FURTHER_HISTORY}:
+    if not both & {*FURTHER_HISTORY} - {TIME_OF_DAY}:
         return True
     partner = both - {*WITH_PRODUCTS}
     return len(partner) == 1 and all(name in LOADS or is_of_log(name) for name in partner)

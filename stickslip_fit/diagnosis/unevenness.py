@@ -29,10 +29,10 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.proposed import POSITION, TRANSVERSE_LOAD, ZETA
 from stickslip_fit.diagnosis.carriers import find_carriers, traverse_average
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.logs.history import JOINT_NET_USE, NET_USE, PAST, RECENT_USE
+from stickslip_fit.logs.history import JOINT_NET_USE, NET_USE, PAST, RECENT_USE, TIME_OF_DAY
 
 # Carriers that are no reason for noise.
-NO_REASON = {ZETA, TRANSVERSE_LOAD, "other_load", "other_pause", "tilt_age", "joint_travel"}
+NO_REASON = {ZETA, TRANSVERSE_LOAD, "other_load", "other_pause", "tilt_age", TIME_OF_DAY, "joint_travel"}
 NO_REASON |= {*RECENT_USE, *NET_USE, *JOINT_NET_USE, *PAST}
 
 CONTAMINATION, CONTAMINATION_SCALE = 0.01, 5.0  # Cauchy component of all likelihoods: gross errors

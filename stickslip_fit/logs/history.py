@@ -41,12 +41,13 @@ MOVES = {
 # What conditions and coordinates were, which follows from their course, and its time constants, s.
 PAST_SCALES = LATE_TEMPERATURE | {name: seconds for name, (_, seconds) in (CHANGES | MOVES).items()}
 PAST = tuple(PAST_SCALES)
+TIME_OF_DAY = "time_of_day"  # s since midnight: what the building, its sun and its people do
 # Times since something, s.
 PAUSES = ("pause", "joint_pause", "other_pause", "tilt_age")
 # History on which no published cause depends.
 FURTHER_HISTORY = (
     *("before_length", "before_gap", "before_joint", "other_load", *PAUSES),
-    *("session_order", "joint_travel"),
+    *("session_order", TIME_OF_DAY, "joint_travel"),
     *RECENT_USE,
     *NET_USE,
     *JOINT_NET_USE,
@@ -56,6 +57,7 @@ FURTHER_HISTORY = (
 DEPARTURES = {"departure_before": "pause", "joint_departure_before": "joint_pause"}
 MAX_PASSES, DEPARTURE_TOL = 30, 1e-9  # of laws that follow departures
 CLOSE_IN_TIME = 1e-3  # s
+DAY_NS = 86_400 * 10**9
 
 
 def condition_of(column: str) -> str:
@@ -64,13 +66,15 @@ def condition_of(column: str) -> str:
 
 
 def unit_of(column: str) -> str:
-    """The unit in which a condition, its past or that of a coordinate is shown; empty for any other column.
+    """The unit in which a condition, a past or the time of day is shown; empty for any other column.
 
     Examples
     --------
     >>> unit_of("temperature_40min"), unit_of("temperature_change_40min")
     ('°C', 'K')
     """
+    if column == TIME_OF_DAY:
+        return "h"
     if column in MOVES:
         return "mm" if condition_of(column) == "q3" else "deg"
     condition = CONDITIONS.get(condition_of(column))
@@ -111,13 +115,14 @@ def add_session_history(
     Of the traverse before of any joint: ``before_joint`` and ``pause`` (s from its start); of any other one:
     ``other_pause`` and ``other_load`` (s from its start, and its published load). All but the first two are
     NaN for a first traverse. Of the session: ``session_seconds`` and ``session_order``, time and traverses
-    since its first one; ``joint_travel``, the lengths of the joint's own traverses in it so far together, as
-    shares of its travel; ``tilt_age``, time since the first one with this theta and psi without another tilt
-    between; the columns of `RECENT_USE`: the lengths of its traverses so far, as shares of their joints'
-    travel, each times exp(-age / s), see `Fading.sum_before`; those of `NET_USE` and `JOINT_NET_USE`, the
-    same with the sign of each direction; those of `LATE_TEMPERATURE`, see `Fading.follow`; those of
-    `CHANGES`, a condition less what it is with such a lag; and those of `MOVES`, the same of an angle or of
-    where a joint stands, NaN where that joint moves and on a machine without the published geometry.
+    since its first one; ``time_of_day``, s since midnight; ``joint_travel``, the lengths of the joint's own
+    traverses in it so far together, as shares of its travel; ``tilt_age``, time since the first one with this
+    theta and psi without another tilt between; the columns of `RECENT_USE`: the lengths of its traverses so
+    far, as shares of their joints' travel, each times exp(-age / s), see `Fading.sum_before`; those of
+    `NET_USE` and `JOINT_NET_USE`, the same with the sign of each direction; those of `LATE_TEMPERATURE`, see
+    `Fading.follow`; those of `CHANGES`, a condition less what it is with such a lag; and those of `MOVES`,
+    the same of an angle or of where a joint stands, NaN where that joint moves and on a machine without the
+    published geometry.
     """
     joint = rows["joint"].to_numpy()
     time = rows["time"].to_numpy(dtype="datetime64[ns]").view(np.int64)
@@ -143,7 +148,7 @@ def add_session_history(
     # Rows are in the order of time: assigned from last to first, each session keeps its first time.
     began[session[::-1]] = time[::-1]
     number = pd.Series(session).groupby(session).cumcount().to_numpy()
-    seconds = np.asarray(time - began[session], np.float64) / 1e9
+    seconds, of_day = (np.asarray(one, np.float64) / 1e9 for one in (time - began[session], time % DAY_NS))
     start, stop = (rows[name].to_numpy(float) for name in ("start", "stop"))
     span = np.array([(machine or load_machine()).span(int(one)) for one in np.unique(joint)])
     travel = span[np.searchsorted(np.unique(joint), joint)]
@@ -186,6 +191,7 @@ def add_session_history(
         joint_pause=np.where(own >= 0, seconds - seconds[own], np.nan),
         session_seconds=seconds,
         session_order=number.astype(float),
+        time_of_day=of_day,
         joint_travel=pd.Series(length).groupby(of_joint).cumsum().to_numpy() - length,
         other_load=np.where(other >= 0, loads[other], np.nan),
         other_pause=np.where(other >= 0, seconds - seconds[other], np.nan),

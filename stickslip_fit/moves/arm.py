@@ -22,7 +22,7 @@ from stickslip_fit.causes.parameters import FIRST_TRAVERSE, REQUIRED_HISTORY
 from stickslip_fit.errors import InputError, InputIssue, check_type, suggest
 from stickslip_fit.estimation import Result
 from stickslip_fit.laws import StepLaw
-from stickslip_fit.logs.history import MOVES, condition_of
+from stickslip_fit.logs.history import MOVES, TIME_OF_DAY, condition_of
 from stickslip_fit.logs.schema import CONDITION_SPELLINGS, COVARIATE_PREFIX
 from stickslip_fit.machine import Machine, mean_load
 from stickslip_fit.machine.machine import PREDICT_DRIVES
@@ -258,6 +258,7 @@ CONDITION_KEYS = {
     "session_min": ("session_seconds", "min"),
     "session_s": ("session_seconds", "s"),
     "session_h": ("session_seconds", "h"),
+    "time_of_day_h": (TIME_OF_DAY, "h"),
     "steps_before": ("steps_before", "steps"),
     **CONDITION_SPELLINGS,
 }
@@ -265,9 +266,11 @@ CONDITION_MEANINGS = {
     "session_seconds": "how long the session has run",
     "steps_before": REQUIRED_HISTORY["steps_before"],
 }
-OWN_COLUMNS = ("session", *FIRST_TRAVERSE)  # follow from the drives and the session
+# What follows from the drives and the session.
+OWN_COLUMNS = ("session", *(name for name in FIRST_TRAVERSE if name != TIME_OF_DAY))
 FROM_ZERO = {
     "session_seconds": "a session's time is counted from its first traverse on",
+    TIME_OF_DAY: "the time of day is counted from midnight on",
     "steps_before": "steps are counted from the joint's first one on",
 }
 REQUIRED_CONDITIONS = (*REQUIRED_HISTORY, "step_period")  # given, or the plan's

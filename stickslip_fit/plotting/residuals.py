@@ -34,6 +34,7 @@ from stickslip_fit.logs.history import (
     MOVES,
     NET_USE,
     OTHER_USE,
+    TIME_OF_DAY,
     USE,
     unit_of,
 )
@@ -258,6 +259,7 @@ FURTHER_LABELS = {
     "joint_pause": ("since the joint's traverse before (min)", "min"),
     "other_pause": ("since another joint moved (min)", "min"),
     "tilt_age": ("since the arm was tilted (min)", "min"),
+    TIME_OF_DAY: ("time of day (h)", "h"),
     **{
         name: (f"temperature {seconds / 60.0:.0f} min late (°C)", "°C")
         for name, seconds in LATE_TEMPERATURE.items()

@@ -10,7 +10,11 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.diagnosis import diagnose
+from stickslip_fit.diagnosis.carriers import find_carriers
+from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.errors import InputError
+from stickslip_fit.estimation import fit_least_squares
+from stickslip_fit.logs import add_history
 from stickslip_fit.moves.arm import parse_conditions
 from stickslip_fit.moves.drives import fill_conditions
 from tests.hidden.generate import CHECK_EVERY, hide
@@ -174,6 +178,13 @@ def fast_pump(table):
     return 0.006 * np.sin(2.0 * np.pi * minutes / (1.5 * spacing[spacing < 30.0].median())).to_numpy()
 
 
+def neighbours(table):
+    """Something in the building at half past ten each day, for half an hour or so."""
+    at = pd.to_datetime(table["time"])
+    hours = (at - at.dt.normalize()).dt.total_seconds() / 3600.0
+    return 0.012 * np.exp(-0.5 * ((hours - 10.5) / 0.25) ** 2).to_numpy()
+
+
 def draughts(table):
     """Now and then, about every 40 min, a draught rises and falls within a quarter of an hour."""
     at, rng, found = pd.to_datetime(table["time"]), np.random.default_rng(8), np.zeros(len(table))
@@ -191,6 +202,10 @@ def read_with(effect, design, joints, seed=4, replicate=0):
     steps = table["steps"] / (1.0 + effect(table))
     table["steps"] = (CHECK_EVERY * np.round(steps / CHECK_EVERY)).astype(int)
     return read_hidden(replace(hidden, table=table), joints)
+
+
+def name_carriers(log):
+    return {one.name for one in find_carriers(problem_from_log(log)[0].linearize())}
 
 
 @cache
@@ -248,6 +263,33 @@ def test_steps_that_a_column_adds_to_counts_are_told_from_a_step_size_that_follo
     assert re.search(r"at supply 6\d\.\d V \(6\d steps more\)", text)
     error = np.log(fresh.rows["steps"] / found.extended_law().predict(fresh.rows)["steps"])
     assert np.sqrt(np.mean(error**2)) < 0.004
+
+
+def test_what_happens_at_a_time_of_day_is_found_and_predicted_on_a_day_that_begins_at_another():
+    """Sessions begin up to an hour and a half apart; of one session it would be a function of its time."""
+    log, fresh = (read_with(neighbours, "many", (2, 3), 4, replicate) for replicate in (0, 1))
+    found = diagnose(log, gain=False)
+    (finding,) = found.findings
+    assert (finding.cause, finding.version.carriers) == ("unknown", ("time_of_day",))
+    text = " ".join(found.summary().headline)
+    assert "follow the time of day" in text
+    assert re.search(r"at the time of day 10:[23]\d", text)
+    rows = fresh.rows
+    error, published = (
+        np.sqrt(np.mean(np.log(rows["steps"] / law.predict(rows)["steps"]) ** 2))
+        for law in (found.extended_law(), fit_least_squares(log))
+    )
+    assert error < published - 0.75 * (published - 0.0030)
+    given = parse_conditions(["time_of_day_h=10.5"], found.extended_law(), "--condition")
+    assert given == {"time_of_day": 37_800.0}
+
+
+def test_where_sessions_begin_alike_the_time_of_day_is_that_in_the_session():
+    log = read_with(neighbours, "many", (2, 3))
+    assert "time_of_day" in name_carriers(log)
+    begins = log.rows.groupby("session")["time"].transform("min")
+    alike = log.rows.assign(time=begins.dt.normalize() + pd.Timedelta("9h") + (log.rows["time"] - begins))
+    assert "time_of_day" not in name_carriers(replace(log, rows=add_history(alike)))
 
 
 def test_a_wave_faster_than_two_traverses_is_found_where_they_come_at_uneven_intervals():

@@ -16,7 +16,7 @@ from stickslip_fit.logs.fading import previous_rows
 SHARED = Path(__file__).parents[3] / "shared"
 HISTORY = ["before_direction", "before_load", "steps_before", "session_seconds"]
 OTHER_HISTORY = ["before_length", "before_gap", "joint_pause", "before_joint", "pause", "other_load"]
-OTHER_HISTORY += ["other_pause", "tilt_age", "session_order", "joint_travel"]
+OTHER_HISTORY += ["other_pause", "tilt_age", "session_order", "time_of_day", "joint_travel"]
 MINUTES = [5, 20, 80]
 WHOSE = ("", "joint_", "other_", "net_", "joint_net_")
 USE = [f"{whose}use_{minutes}min" for whose in WHOSE for minutes in MINUTES]
@@ -82,7 +82,9 @@ def slow_other_history(rows: list[dict]) -> list[tuple[float, ...]]:
             tilted = one["time"]
         values.append((row["time"] - tilted).total_seconds())
         driven = [abs(one["stop"] - one["start"]) for one in earlier if one["joint"] == row["joint"]]
-        found.append((*values, len(earlier), sum(driven) / travel))
+        moment = row["time"]
+        of_day = 3600 * moment.hour + 60 * moment.minute + moment.second + moment.microsecond / 1e6
+        found.append((*values, len(earlier), of_day, sum(driven) / travel))
     return found
 
 
