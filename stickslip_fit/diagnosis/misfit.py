@@ -21,8 +21,9 @@ correction for two tests. p_outliers is that of the likelihood ratio test in `no
 is `compute_misfit(...).p_value` of the baseline's residuals, outlying counts removed: the share of
 bootstrap samples with at least the log's statistic, (1 + exceedances) / (1 + samples). There are no more
 samples once no decision depends on the rest: so many exceed the statistic, or it is far above 20 samples for
-each expected false alarm. Where the noise was found heteroscedastic or skewed from the same residuals, that
-share is doubled. `selection.select_causes` does both tests in this order.
+each expected false alarm, or so far above 500 that these count as such. Where the noise was found
+heteroscedastic or skewed from the same residuals, that share is doubled. `selection.select_causes` does both
+tests in this order.
 """
 
 from __future__ import annotations

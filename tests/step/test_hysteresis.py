@@ -139,7 +139,7 @@ def test_a_step_is_that_of_a_ramp_of_two_pieces(weight, ramp_time, load):
 
 def test_hysteresis_acts_before_the_foots_dynamics():
     """A stiff foot tends to the hysteretic waveform, with bristles too."""
-    contact = Contact(0.2, 1.25, "lugre", stiffness=5e7, damping=20.0)
+    contact = Contact(0.2, 1.25, "lugre", stiffness=2e8, damping=20.0)
     drive = Drive(80.0, GAIN, 4e-4, 5e-6, 2.25e-4, hysteresis=ELEMENTS)
     rigid = Stage("rigid", 5e-3, contact, drive)
     coulomb = replace(rigid, contact=replace(contact, model="coulomb")).step()
