@@ -304,9 +304,13 @@ def describe_unknown_gain(finding: Finding, diagnosis: Diagnosis) -> str:
         what = f"whether it is warmth from driving, as a thermometer at the joint would tell{closest}"
     if carriers == (POSITION,) and getattr(finding.version, "sessions", ()):
         what = f"what makes it differ from session to session{_name_closest(finding)}"
+    noise = (
+        "Noise with memory from traverse to traverse would look much the same: what comes back when a "
+        "session is repeated is none. "
+    ) * diagnosis.selection.behind(finding).resembles_memory
     return (
-        f"{test + ' ' if test else ''}{describe_lag(finding)}What to do: find out {what}, log that as a "
-        "column of its own, and diagnose again. Meanwhile the extended law has it; "
+        f"{test + ' ' if test else ''}{noise}{describe_lag(finding)}What to do: find out {what}, log that as "
+        "a column of its own, and diagnose again. Meanwhile the extended law has it; "
         f"{describe_scatter(diagnosis)}."
     )
 

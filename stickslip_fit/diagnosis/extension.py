@@ -16,7 +16,7 @@ from stickslip_fit.causes.periodic import PeriodicTime
 from stickslip_fit.causes.proposed import CarryOverTerm, SmoothTerm
 from stickslip_fit.causes.table_terms import PREDICTION
 from stickslip_fit.diagnosis.alternatives import attribute_to_causes
-from stickslip_fit.diagnosis.cause_set import CauseSet
+from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR, CauseSet
 from stickslip_fit.diagnosis.evidence import batch_hypotheses
 from stickslip_fit.diagnosis.hypotheses import (
     EFFECT_TOL,
@@ -103,6 +103,21 @@ class SelectedCause:
         """As `misfit`, of what has a shape."""
         assert self.misfit is not None
         return self.misfit
+
+    @property
+    def resembles_memory(self) -> bool:
+        """Whether noise with memory is about as likely as a proposed function of each session's time.
+
+        The two describe one session about as well: only what comes back in a replicate is no noise.
+        """
+        of_time = getattr(self.version, "carriers", ()) == ("session_seconds",)
+        if self.cause != UNKNOWN or self.misfit is None or not (of_time and self.version.sessions):
+            return False
+        evidence = self.misfit.log_evidence
+        of_memory = [
+            own for own, one in zip(evidence, self.misfit.hypotheses, strict=True) if isinstance(one, AR1)
+        ]
+        return bool(max(of_memory, default=-np.inf) > evidence.max() - CAUSE_SET_LOG_BAYES_FACTOR)
 
 
 def law_causes(selected: Sequence[SelectedCause]) -> list[SelectedCause]:

@@ -218,7 +218,11 @@ def _noise_properties(selection: Selection, findings: tuple[Finding, ...]) -> tu
     """In which the noise is not as assumed."""
     problem = selection.problem
     present = {
-        "memory": any(one.cause == UNKNOWN and one.carrier.startswith("memory") for one in findings),
+        "memory": any(
+            one.cause == UNKNOWN
+            and (one.carrier.startswith("memory") or selection.behind(one).resembles_memory)
+            for one in findings
+        ),
         "skewed": problem.skewness is not None,
         "rounded": problem.spacing is not None,
         "gross errors": any(one.cause == problem.outlier_cause for one in findings),

@@ -36,6 +36,15 @@ def test_noise_is_called_what_it_is(kind, seed):
     assert findings(kind, seed) == EXPECTED[kind]
 
 
+def test_memory_that_a_function_of_time_describes_as_well_is_told_as_either():
+    found = diagnose(read_hidden(make("memory", 7700007)), seed=7700007, gain=False)
+    (finding,) = found.findings
+    assert (finding.cause, finding.carrier, found.noise_properties) == ("unknown", "time", ("memory",))
+    assert "Noise with memory from traverse to traverse would look much the same" in " ".join(
+        str(found).split()
+    )
+
+
 @pytest.mark.nightly
 def test_noise_of_one_session_is_called_so_and_the_text_names_the_session():
     hidden = make("sessions", 5)
