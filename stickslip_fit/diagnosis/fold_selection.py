@@ -25,7 +25,8 @@ from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
 
 CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
 CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next, before these are refitted
-CLEAR_PAIR_SD = 4.0  # standard deviations to a combination of causes, see `_is_ahead_of_pairs`
+# To a combination of causes, which is refitted: a share of the evidence, or standard deviations.
+CLEAR_PAIR_SHARE, CLEAR_PAIR_SD = 0.1, 4.0
 CLEAR_REFIT = 1.0  # nats between the best cause and the next, both refitted
 MAX_GAINED = 8.0  # nats by which a hypothesis may come nearer to a decision by the loss of a few rows
 MIN_EVIDENCE_SHARE = 0.5  # of the evidence in all rows; with less, a few rows may bear it
@@ -195,7 +196,7 @@ class Looks:
         to_beat = share * (whole.log_evidence_by_cause[UNKNOWN] + PAIR_LOG_PENALTY - ahead)
         least = min(ahead, own + PAIR_LOG_PENALTY - to_beat)
         sd = np.sqrt(2.0 * max(ahead, 0.0) * (1.0 - share)) if np.isfinite(ahead) else 0.0
-        return bool(least > CLEAR_NAME + CLEAR_PAIR_SD * sd)
+        return bool(least > max(CLEAR_NAME, min(CLEAR_PAIR_SHARE * own, CLEAR_NAME + CLEAR_PAIR_SD * sd)))
 
     def _is_last(self, without: Misfit) -> bool:
         """Whether no further known cause would be selected."""
