@@ -11,7 +11,7 @@ class _Record(Protocol):
 
 
 def vary[T: _Record](record: T, **changes: Any) -> T:
-    """As `dataclasses.replace`, several times as fast, of a frozen dataclass that checks no field.
+    """As `dataclasses.replace`, nearly three times as fast, of a frozen dataclass that checks no field.
 
     Examples
     --------
