@@ -56,6 +56,7 @@ def shown_values(row, machine):
             shown = name.removeprefix("covariate:") if own else name.replace("_", " ")
             values[shown] = row[name] * scale.get(name, 1.0)
     values |= {"session time": row["session_seconds"] / 3600, "temperature": row["temperature"] - 273.15}
+    values["time of day"] = row["time_of_day"] / 3600
     for minutes in (5, 20, 80):
         values[f"travels in {minutes} min"] = row[f"use_{minutes}min"]
         values[f"own travels in {minutes} min"] = row[f"joint_use_{minutes}min"]
