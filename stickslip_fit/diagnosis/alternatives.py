@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from stickslip_fit._records import vary
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.function_of_cause import FunctionOfCause
 from stickslip_fit.causes.kinds import FactorCause
@@ -129,7 +128,7 @@ def _plain_waves(
     pairs, factor = np.zeros((len(rows), len(periods), 2)), SMOOTH_SCALE * size / linearized.scale
     pairs[acts] = _cosines_and_sines(values[acts], 1.0 / periods) * factor[acts, None, None]
     plain = PeriodicTerm(carriers, limits, sessions=tuple(map(str, names)), **attributes)
-    waves = [vary(plain, period=period) for period in periods.tolist()]
+    waves = [replace(plain, period=period) for period in periods.tolist()]
     own = [part for session in sessions if len(part := session.restrict(acts))]
     return build_per_session_hypotheses(_names(waves), len(rows), own, pairs, waves)
 
@@ -147,12 +146,12 @@ def _periodic_alternatives(
         periods = periods[periods >= 2 * MIN_TRAVERSES_PER_PERIOD]
     pairs = _cosines_and_sines(values, 1.0 / periods) * (SMOOTH_SCALE / linearized.scale)[:, None, None]
     plain = PeriodicTerm((clock,), ((0.0, float(values.max())),), sessions=tuple(map(str, names)))
-    same = [vary(plain, period=period) for period in periods.tolist()]
+    same = [replace(plain, period=period) for period in periods.tolist()]
     alike = build_per_session_hypotheses(_names(same), len(rows), sessions, pairs, same)
     if linearized.allows_opposite:
-        opposite = [vary(one.version, mode="opposite") for one in alike]
+        opposite = [replace(one.version, mode="opposite") for one in alike]
         turned = zip(alike, _names(opposite), opposite, strict=True)
-        return [*alike, *(vary(one, cause=name, version=own, sign=sign) for one, name, own in turned)]
+        return [*alike, *(replace(one, cause=name, version=own, sign=sign) for one, name, own in turned)]
     opposite, turned_pairs = [replace(one, mode="opposite") for one in same], pairs * sign[:, None, None]
     names = _names(opposite)
     return [*alike, *build_per_session_hypotheses(names, len(rows), sessions, turned_pairs, opposite)]
@@ -206,7 +205,7 @@ def attribute_to_causes(
         if cause is None or one.version is None:
             attributed.append(one)
         elif cause.name not in without and (version := _as_function(cause, one.version)):
-            attributed.append(vary(one, cause=cause.name, version=version, values=None))
+            attributed.append(replace(one, cause=cause.name, version=version, values=None))
     return attributed
 
 

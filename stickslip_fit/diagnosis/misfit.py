@@ -18,7 +18,7 @@ the simulated ones.
 
 The p-value of a `Diagnosis` is min(1, p_outliers / 0.25, p_rest / 0.75), a weighted Bonferroni
 correction for two tests. p_outliers is that of the likelihood ratio test in `noise.find_outliers`; p_rest
-is `compute_misfit(...).p_value` of the baseline's residuals, outlying counts removed: the share of
+is `compute_p_value(...).p_value` of the baseline's residuals, outlying counts removed: the share of
 bootstrap samples with at least the log's statistic, (1 + exceedances) / (1 + samples). There are no more
 samples once no decision depends on the rest: so many exceed the statistic, or it is far above 20 samples for
 each expected false alarm, or so far above 500 that these count as such. Where the noise was found
@@ -302,18 +302,6 @@ def drop_single_rows(hypotheses: Sequence[Hypothesis | AR1]) -> list[Hypothesis 
     known = {cause for cause, count in left.items() if count >= MIN_LEFT_SHARE * number[cause]} | {UNKNOWN}
     of_known = [cause in known for cause in causes]
     return [*compress(hypotheses, map(not_, of_known)), *compress(hypotheses, map(and_, is_shared, of_known))]
-
-
-def compute_misfit(
-    linearized: LinearizedFit,
-    hypotheses: Sequence[Hypothesis | AR1],
-    n_bootstrap: int,
-    rng: np.random.Generator,
-    max_exceedances: int | None = None,
-) -> Misfit:
-    """Test the residuals of a fit by `n_bootstrap` samples; 0 gives no p-value (NaN)."""
-    misfit = weigh_evidence(linearized, hypotheses)
-    return compute_p_value(misfit, linearized, n_bootstrap, rng, max_exceedances) if n_bootstrap else misfit
 
 
 def weigh_evidence(linearized: LinearizedFit, hypotheses: Sequence[Hypothesis | AR1]) -> Misfit:

@@ -17,7 +17,6 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._linalg import eigh
-from stickslip_fit._records import vary
 from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.added_steps import STEPS_SCALE, AddedSteps
 from stickslip_fit.causes.proposed import (
@@ -58,7 +57,6 @@ from stickslip_fit.logs.history import (
     MOVES,
     NET_USE,
     PAST,
-    TIME_OF_DAY,
     condition_of,
 )
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX
@@ -217,7 +215,7 @@ def interact(one: str, other: str) -> bool:
         return False
     if any(condition_of(name) in both for name in both & {*MOVES}):
         return True
-    if not both & {*FURTHER_HISTORY} - {TIME_OF_DAY}:
+    if not both & {*FURTHER_OF_TRAVERSE}:
         return True
     partner = both - {*WITH_PRODUCTS}
     return len(partner) == 1 and all(name in LOADS or is_of_log(name) for name in partner)
@@ -372,7 +370,7 @@ class _Builder:
             found += ways
             groups |= own
         if len(groups) > 1:
-            each = vary(term, on=tuple(groups), each=True)
+            each = replace(term, on=tuple(groups), each=True)
             found.append(self.make(f"{name}, each joint and direction", each, list(groups.values())))
         return [one for one in found if one is not None]
 
@@ -390,21 +388,21 @@ class _Builder:
     def of_each_way(self, effects: _Effects) -> Iterator[Hypothesis | None]:
         """Functions of all joints in one direction."""
         for direction in SIGNS:
-            on = vary(effects.term, on=tuple((joint, direction) for joint in self.joints))
+            on = replace(effects.term, on=tuple((joint, direction) for joint in self.joints))
             one_way = self.subspace(effects, _Group(direction=direction))
             yield self.make(f"{effects.name}, {direction} only", on, [one_way])
 
     def of_single_joints(self, effects: _Effects) -> Iterator[Hypothesis | None]:
         """Functions of one joint of several, in both directions."""
         for joint in self.joints if len(self.joints) > 1 else ():
-            on = vary(effects.term, on=((joint, "+"), (joint, "-")))
+            on = replace(effects.term, on=((joint, "+"), (joint, "-")))
             own = self.subspace(effects, _Group(joint))
             yield self.make(f"{effects.name}, joint {joint}", on, [own])
 
     def of_all(self, effects: _Effects) -> list[Hypothesis | None]:
         """Functions of all joints, opposite by direction and alike."""
         name, term, whole = effects.name, effects.term, self.subspace(effects, EVERY_ROW)
-        opposite = vary(term, mode="opposite")
+        opposite = replace(term, mode="opposite")
         turned = (
             self.make(f"{name}, opposite", opposite, [whole], self.sign)
             if self.linearized.allows_opposite
@@ -417,15 +415,15 @@ class _Builder:
     ) -> tuple[list[Hypothesis], dict[tuple[int, str], _Subspace]]:
         """The same of one joint, in both directions and in each; the latter also by themselves."""
         label, term, both = f"{effects.name}, joint {joint}", effects.term, ((joint, "+"), (joint, "-"))
-        found = [self.make(label, vary(term, on=both), [self.subspace(effects, _Group(joint))])]
+        found = [self.make(label, replace(term, on=both), [self.subspace(effects, _Group(joint))])]
         own = {}
         for group in both:
             way = self.subspace(effects, _Group(*group))
-            found.append(self.make(f"{label} {group[1]}", vary(term, on=(group,)), [way]))
+            found.append(self.make(f"{label} {group[1]}", replace(term, on=(group,)), [way]))
             if way is not None:
                 own[group] = way
         if len(own) > 1:
-            each = vary(term, on=tuple(own), each=True)
+            each = replace(term, on=tuple(own), each=True)
             found.append(self.make(f"{label}, each direction", each, list(own.values())))
         return [one for one in found if one is not None], own
 
@@ -433,7 +431,7 @@ class _Builder:
         """Functions that differ from session to session, by joint."""
         found = []
         for joint in self.joints if len(self.session_of) > 1 else ():
-            on = vary(effects.term, on=((joint, "+"), (joint, "-")))
+            on = replace(effects.term, on=((joint, "+"), (joint, "-")))
             version, parts = self.of_sessions(effects, [_Group(joint)], on)
             found.append(self.make(f"{effects.name}, joint {joint}, in each session", version, parts))
         return [one for one in found if one is not None]
@@ -449,9 +447,9 @@ class _Builder:
             on, whole = ((joint, "+"), (joint, "-")), [_Group(joint)]
             ways = [_Group(joint, direction) for direction in SIGNS]
             for ending, own, groups in (
-                ("", vary(term, on=on), whole),
-                (", opposite", vary(term, on=on, mode="opposite"), whole),
-                (", each direction", vary(term, on=on, each=True), ways),
+                ("", replace(term, on=on), whole),
+                (", opposite", replace(term, on=on, mode="opposite"), whole),
+                (", each direction", replace(term, on=on, each=True), ways),
             ):
                 version, parts = self.of_sessions(effects, groups, own)
                 found[ending] = self.make(label + ending, version, parts)
@@ -465,13 +463,13 @@ class _Builder:
         """A term with functions of each session, and their effects in some groups of rows."""
         own = {
             session: [
-                self.subspace(effects, vary(group, session=session), opposite=term.mode == "opposite")
+                self.subspace(effects, replace(group, session=session), opposite=term.mode == "opposite")
                 for group in groups
             ]
             for session in self.session_of
         }
         own = {session: parts for session, parts in own.items() if any(parts)}
-        return vary(term, sessions=tuple(own)), [part for parts in own.values() for part in parts]
+        return replace(term, sessions=tuple(own)), [part for parts in own.values() for part in parts]
 
     def nested(
         self, effects: _Effects, groups: Sequence[_Group], version: SmoothTerm
@@ -493,7 +491,7 @@ class _Builder:
         across = projected[rows].T[None]
         products = across @ across.transpose(0, 2, 1)
         found = _orthonormalize(rows, across, products, np.array([EFFECT_TOL**2]), np.zeros(1))
-        return (vary(version, common=COMMON), found) if any(found) else None
+        return (replace(version, common=COMMON), found) if any(found) else None
 
     def subspace(self, effects: _Effects, group: _Group, *, opposite: bool = False) -> _Subspace | None:
         """What calibration leaves of effects in a group of rows; None where that is next to nothing."""

@@ -12,7 +12,7 @@ from stickslip_fit.diagnosis.evidence import STRENGTHS, batch_hypotheses
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 from stickslip_fit.diagnosis.linearized import fit_extended, linearize_fit
 from stickslip_fit.diagnosis.memory import AR1, Sequences, log_memory_evidence
-from stickslip_fit.diagnosis.misfit import compute_misfit
+from stickslip_fit.diagnosis.misfit import compute_p_value, weigh_evidence
 from stickslip_fit.diagnosis.noise import find_outliers
 from stickslip_fit.laws import Prismatic
 
@@ -94,7 +94,7 @@ def test_the_p_value_is_even_where_nothing_is_wrong(rows, linearize, uneven):
     for _ in range(150):
         linearized = linearize(NOISE * wide * rng.standard_t(5, len(rows)))
         tried = [make_hypothesis(f"{k}", None, None, linearized.project(shapes[:, [k]])) for k in range(2)]
-        p_values.append(compute_misfit(linearized, tried, 199, rng).p_value)
+        p_values.append(compute_p_value(weigh_evidence(linearized, tried), linearized, 199, rng).p_value)
     assert kstest(p_values, "uniform").pvalue > 0.01
 
 

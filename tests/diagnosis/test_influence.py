@@ -12,7 +12,7 @@ from stickslip_fit.diagnosis._json import diagnosis_to_json
 from stickslip_fit.diagnosis.finding import Gain
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 from stickslip_fit.diagnosis.influence import assess_support
-from stickslip_fit.diagnosis.misfit import UNKNOWN, compute_misfit
+from stickslip_fit.diagnosis.misfit import UNKNOWN, weigh_evidence
 from stickslip_fit.diagnosis.withdrawal import find_unsupported, is_supported, withdraw_causes
 
 NOISE = 0.003
@@ -25,7 +25,7 @@ def test_evidence_of_two_rows_vanishes_without_them(rows, linearize, at_work, fe
     shape[rng.choice(len(rows), at_work, replace=False)] = 1.0
     linearized = linearize(NOISE * (rng.standard_normal(len(rows)) + 12.0 * shape))
     effect = make_hypothesis("weight", None, None, linearized.project(shape[:, None]))
-    misfit = compute_misfit(linearized, [effect], 0, rng)
+    misfit = weigh_evidence(linearized, [effect])
     support = assess_support(linearized, misfit, "weight")
     assert support.too_narrow == few
     assert set(support.outlying) == (set(np.flatnonzero(shape)) if few else set())

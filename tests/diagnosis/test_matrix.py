@@ -11,7 +11,7 @@ import pytest
 from stickslip_fit.causes import library
 from stickslip_fit.diagnosis.extension import assess_residuals
 from stickslip_fit.diagnosis.hypotheses import build_candidates, compute_finite_effects
-from stickslip_fit.diagnosis.misfit import compute_misfit
+from stickslip_fit.diagnosis.misfit import weigh_evidence
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.separability import assess_design, problem_from_plan
 from stickslip_fit.errors import InputError
@@ -176,7 +176,7 @@ def test_nine_in_ten_logs_raise_the_alarm_at_the_smallest_size():
     alarms = 0
     for _ in range(100):
         noise = study.project(rng.standard_normal(len(study)))
-        misfit = compute_misfit(replace(study, residual=seen + noise), first.hypotheses, 0, rng)
+        misfit = weigh_evidence(replace(study, residual=seen + noise), first.hypotheses)
         alarms += np.logaddexp.reduce(list(misfit.log_evidence_by_cause.values())) > first.critical_value(
             0.025
         )

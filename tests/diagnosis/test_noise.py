@@ -17,7 +17,12 @@ from stickslip_fit.diagnosis.hypotheses import (
 )
 from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
 from stickslip_fit.diagnosis.memory import AR1, Sequences
-from stickslip_fit.diagnosis.misfit import StructureRemoved, compute_misfit, remove_structure
+from stickslip_fit.diagnosis.misfit import (
+    StructureRemoved,
+    compute_p_value,
+    remove_structure,
+    weigh_evidence,
+)
 from stickslip_fit.diagnosis.noise import estimate_noise, find_outliers, shrink_variances
 from stickslip_fit.diagnosis.separability import compute_cosines
 from stickslip_fit.diagnosis.unknown_size import estimate_ar1_effect
@@ -60,9 +65,8 @@ def test_an_effect_does_not_hide_behind_its_own_signs(rows, linearize):
     shape = np.zeros((len(rows), 1))
     shape[rng.choice(len(rows), 8, replace=False)] = 1.0
     linearized = linearize(NOISE * (rng.standard_normal(len(rows)) + 3.0 * shape[:, 0]))
-    found = compute_misfit(
-        linearized, [make_hypothesis("some", None, None, linearized.project(shape))], 1999, rng
-    )
+    misfit = weigh_evidence(linearized, [make_hypothesis("some", None, None, linearized.project(shape))])
+    found = compute_p_value(misfit, linearized, 1999, rng)
     assert found.p_value == 1 / 2000
 
 
@@ -75,7 +79,7 @@ def test_what_two_traverses_show_has_to_exceed_the_heaviest_tails(rows, lineariz
         linearized = linearize(departure)
         shapes = linearized.project(pairs).T
         tried = [make_hypothesis("pair", None, None, shape[:, None]) for shape in shapes]
-        return compute_misfit(linearized, tried, 99, rng).p_value
+        return compute_p_value(weigh_evidence(linearized, tried), linearized, 99, rng).p_value
 
     noise = [NOISE * rng.standard_t(5, n) for _ in range(100)]
     alarms = np.mean([p_value(each) <= 0.02 for each in noise])

@@ -15,8 +15,9 @@ from stickslip_fit.diagnosis.misfit import (
     MAX_DETECTION_LENGTH,
     TAIL_DF,
     _tail_probabilities,
-    compute_misfit,
+    compute_p_value,
     detection_length,
+    weigh_evidence,
     winsorize,
 )
 from stickslip_fit.diagnosis.problem import problem_from_log
@@ -42,7 +43,7 @@ def test_a_small_p_value_is_that_of_heavy_tails_where_noise_has_them(rows, linea
         simulated >= statistic(linearized.project(winsorize(linearized.residual, 2.5))[:, None])
     )
     assert 0.003 < expected < 0.05
-    found = [compute_misfit(linearized, tried, 499, rng) for _ in range(8)]
+    found = [compute_p_value(weigh_evidence(linearized, tried), linearized, 499, rng) for _ in range(8)]
     # Of 8 x 2000 samples some 80 lie above: four standard errors of their number, and of that of `simulated`.
     assert np.mean([one.p_value for one in found]) == pytest.approx(expected, rel=0.65)
     assert all(len(one.null_log_evidence) >= 2000 for one in found)
@@ -57,7 +58,7 @@ def test_one_row_far_out_does_not_hide_an_effect_that_many_rows_share(rows, line
     linearized = linearize(NOISE * (noise + 0.6 * half))
     shapes = {"half": half[:, None], **{f"{k}": one[:, None] for k, one in enumerate(windows.T)}}
     tried = [make_hypothesis(name, None, None, linearized.project(1.0 * one)) for name, one in shapes.items()]
-    found = compute_misfit(linearized, tried, 1999, rng)
+    found = compute_p_value(weigh_evidence(linearized, tried), linearized, 1999, rng)
     assert max(found.log_evidence_by_cause, key=found.log_evidence_by_cause.__getitem__) == "half"
     assert found.p_value < 0.005
 
@@ -85,8 +86,9 @@ def test_a_bootstrap_that_ends_early_decides_as_the_whole_one(rows, linearize, s
             make_hypothesis(f"{k}", None, None, linearized.project(one[:, None]))
             for k, one in enumerate(windows.T)
         ]
+        misfit = weigh_evidence(linearized, tried)
         whole, early = (
-            compute_misfit(linearized, tried, 3000, np.random.default_rng(seed), most)
+            compute_p_value(misfit, linearized, 3000, np.random.default_rng(seed), most)
             for most in (None, MAX_EXCEEDANCES)
         )
         level = allocate_alpha(0.01)

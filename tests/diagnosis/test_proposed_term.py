@@ -25,7 +25,7 @@ from stickslip_fit.diagnosis.expressions import build_log_dictionary
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Gain
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_changes, make_hypothesis
-from stickslip_fit.diagnosis.misfit import UNKNOWN, compute_misfit
+from stickslip_fit.diagnosis.misfit import UNKNOWN, weigh_evidence
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.proposed_term import propose_term
 from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
@@ -284,7 +284,7 @@ def law_for(linearized, alternatives, column, expressions, strength=25.0):
     change = linearized.project(linearized.whiten(column))
     change *= strength / np.linalg.norm(change)
     noise = linearized.project(rng.standard_normal(len(change)))
-    misfit = compute_misfit(replace(linearized, residual=change + noise), alternatives, 0, rng)
+    misfit = weigh_evidence(replace(linearized, residual=change + noise), alternatives)
     unknown = SelectedCause(UNKNOWN, None, np.zeros(0), form_cause_set(misfit, UNKNOWN), misfit, 0.0)
     version = propose_term(linearized, [unknown], expressions, rng)[0].version
     sizes = np.diag([min(one.prior_sd, 1.0) for one in version.parameters])
@@ -383,7 +383,7 @@ def test_an_expression_is_looked_for_anew_where_the_test_has_it_already(lineariz
     term = ProposedTerm((("sin(x)", "theta", 0.0, 1.0, "deg"),))
     effect = linearized.project(linearized.whiten(compute_changes(linearized, term, np.array([[0.01]]))))
     change = 25.0 * effect[:, 0] / np.linalg.norm(effect)
-    misfit = compute_misfit(replace(linearized, residual=change), alternatives, 0, np.random.default_rng(2))
+    misfit = weigh_evidence(replace(linearized, residual=change), alternatives)
     misfit = misfit.with_likeliest(make_hypothesis(f"{UNKNOWN}:theta", term, None, effect))
     assert misfit.best_hypothesis(UNKNOWN).version is term
     unknown = SelectedCause(UNKNOWN, None, np.zeros(0), form_cause_set(misfit, UNKNOWN), misfit, 0.0)
