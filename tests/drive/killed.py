@@ -2,7 +2,8 @@
 
 Run as a program: FOLDER KILLS SEED. It forks before anything has threads, so it is no part of the test's own
 process. Where the joints truly are outlives the drive in shared memory: they step by the law itself, single
-step by single step, each half a standard deviation farther than it says.
+step by single step, each half a standard deviation farther than it says. A drive is killed after so many
+steps, not after some time, in which a busy machine may not have begun.
 """
 
 import mmap
@@ -27,9 +28,9 @@ from stickslip_fit.logs import read_log
 from stickslip_fit.moves import CalibratedArm, DriveReckoning, calibrated_arm
 from stickslip_fit.units import Z_95
 
-PLACE = struct.Struct("=ddd")
+PLACE, COUNT = struct.Struct("=ddd"), struct.Struct("=q")
 START = (0.2, -1.3, 0.006)
-LONGEST = 0.3  # s
+MOST_STEPS, PATIENCE = 60, 60.0  # before a drive is killed, and how long in s it may take for them
 PACE = 4e-4  # s for a step, so that kills find joints in motion
 SPEED = 50e-6  # m/s
 
@@ -40,16 +41,21 @@ class Joints:
     def __init__(self, arm: CalibratedArm, clock: VirtualClock) -> None:
         self.arm = arm
         self.clock = clock
-        self.memory = mmap.mmap(-1, PLACE.size)
+        self.memory = mmap.mmap(-1, PLACE.size + COUNT.size)
         self.place = START
 
     @property
     def place(self) -> tuple[float, ...]:
-        return PLACE.unpack(self.memory[:])
+        return PLACE.unpack_from(self.memory)
 
     @place.setter
     def place(self, q: tuple[float, ...]) -> None:
-        self.memory[:] = PLACE.pack(*q)
+        PLACE.pack_into(self.memory, 0, *q)
+
+    @property
+    def taken(self) -> int:
+        """Single steps so far."""
+        return int(COUNT.unpack_from(self.memory, PLACE.size)[0])
 
     def step(self, joint: int, steps: int) -> None:
         way = "+" if steps > 0 else "-"
@@ -61,6 +67,7 @@ class Joints:
             q[joint - 1] += (1 + 0.5 * repeatability) * gamma * (1 if steps > 0 else -1)
             time.sleep(PACE)
             self.place = tuple(q)
+            COUNT.pack_into(self.memory, PLACE.size, self.taken + 1)
             time.sleep(PACE)
             self.clock.sleep(0.01)
 
@@ -106,17 +113,21 @@ def drive(journal: Path, arm: CalibratedArm, joints: Joints, seed: int) -> None:
     DriveLoop(reckoning, joints, joints.clock, Wandering(seed), Unseen(), record, 1.0).run()
 
 
-def run_and_kill(journal: Path, arm: CalibratedArm, joints: Joints, after: float, seed: int) -> None:
+def run_and_kill(journal: Path, arm: CalibratedArm, joints: Joints, chance: random.Random, seed: int) -> None:
+    enough, give_up = joints.taken + chance.randint(0, MOST_STEPS), time.monotonic() + PATIENCE
     child = os.fork()
     if child == 0:
         try:
             drive(journal, arm, joints, seed)
         finally:
             os._exit(1)
-    time.sleep(after)
+    while joints.taken < enough and time.monotonic() < give_up:
+        time.sleep(PACE)
+    time.sleep(chance.uniform(0.0, 8 * PACE))
     os.kill(child, signal.SIGKILL)
     _, status = os.waitpid(child, 0)
     assert os.WIFSIGNALED(status), "the drive failed by itself"
+    assert joints.taken >= enough, f"{joints.taken} of {enough} steps in {PATIENCE:.0f} s"
 
 
 def judge(journal: Path, arm: CalibratedArm, joints: Joints) -> int:
@@ -142,7 +153,7 @@ def main(folder: Path, kills: int, seed: int) -> None:
     DriveReckoning(arm, START).advance(1, "+", 1, 0.0)
     open_bursts = []
     for number in range(kills):
-        run_and_kill(journal, arm, joints, chance.uniform(0.0, LONGEST), seed + number)
+        run_and_kill(journal, arm, joints, chance, seed + number)
         open_bursts.append(judge(journal, arm, joints))
     moved = np.abs(np.array(joints.place) - START) / [1e-4, 1e-4, 1e-6]
     print(*open_bursts)
