@@ -241,6 +241,8 @@ def check_given_conditions(
             message = f"is no condition; give {join_words(known, 'or')}{suggest(name, known)}"
         elif name in FROM_ZERO and not (isinstance(value, int | float | np.number) and value >= 0):
             message = f"{FROM_ZERO[name]}; give a number of 0 or more"
+        elif name == TIME_OF_DAY and value > to_si(24.0, "h"):
+            message = f"{WITHIN_A_DAY}, in seconds up to 86400"
         else:
             continue
         issues.append(InputIssue(message, argument="conditions", value=f"{name}={value}"))
@@ -273,6 +275,7 @@ FROM_ZERO = {
     TIME_OF_DAY: "the time of day is counted from midnight on",
     "steps_before": "steps are counted from the joint's first one on",
 }
+WITHIN_A_DAY = "a time of day is within a day of 24 h"
 REQUIRED_CONDITIONS = (*REQUIRED_HISTORY, "step_period")  # given, or the plan's
 
 
@@ -318,6 +321,8 @@ def parse_conditions(texts: Iterable[str], result: Result, option: str) -> dict[
         if not isfinite(number) or (number < 0 and column in FROM_ZERO):
             fault = f"{FROM_ZERO[column]}; give 0 or more" if isfinite(number) else "give a number"
             raise InputError(InputIssue(f"{fault}, e.g. {name}=20", column=option, value=text))
+        if column == TIME_OF_DAY and number > 24:
+            raise InputError(InputIssue(f"{WITHIN_A_DAY}; give 0 to 24", column=option, value=text))
         conditions[column] = to_si(number, unit)
     return conditions
 

@@ -282,6 +282,8 @@ def test_what_happens_at_a_time_of_day_is_found_and_predicted_on_a_day_that_begi
     assert error < published - 0.75 * (published - 0.0030)
     given = parse_conditions(["time_of_day_h=10.5"], found.extended_law(), "--condition")
     assert given == {"time_of_day": 37_800.0}
+    with pytest.raises(InputError, match=r"a time of day is within a day of 24 h; give 0 to 24"):
+        parse_conditions(["time_of_day_h=25"], found.extended_law(), "--condition")
 
 
 def test_where_sessions_begin_alike_the_time_of_day_is_that_in_the_session():
