@@ -88,7 +88,7 @@ def _alternatives_in_time(linearized: LinearizedFit) -> Iterator[Hypothesis]:
 
 def _waves_by_load(linearized: LinearizedFit, sessions: Sequence[SessionFit]) -> list[Hypothesis]:
     """Waves in time in proportion to the load, each session's its own."""
-    load = find_load(linearized)
+    load = find_load(linearized.table)
     if load is None:
         return []
     of_traverse = np.nan_to_num(traverse_average(load.values))

@@ -21,7 +21,7 @@ from stickslip_fit.causes.proposed import (
     carrier_values,
 )
 from stickslip_fit.causes.smooth import cosine_sequence, cosines, prior_sds
-from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.laws import State, state_at
 from stickslip_fit.logs.history import FURTHER_HISTORY, PAST, TIME_OF_DAY, condition_of
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, position_columns
@@ -83,9 +83,13 @@ def traverse_average(values: Array) -> Array:
     return values[:, 0] if values.shape[1] == 1 else values @ (WEIGHTS / 2)
 
 
-def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
+def find_carriers(table: RowTable) -> tuple[Carrier, ...]:
     """The coordinates, history and columns that vary in some rows of a log."""
-    rows = linearized.rows
+    return table.once(_find_carriers)
+
+
+def _find_carriers(table: RowTable) -> tuple[Carrier, ...]:
+    rows = table.frame
     own = [str(name) for name in rows.columns if str(name).startswith(COVARIATE_PREFIX)]
     columns = [name for name in (*CONDITIONS, *own) if name in rows]
     history = [name for name in HISTORY if name in rows and rows[name].notna().all()]
@@ -103,26 +107,24 @@ def find_carriers(linearized: LinearizedFit) -> list[Carrier]:
     zeta = (ZETA,) if load and rows["psi"].nunique() > 1 and rows["q2"].nunique() > 1 else ()
     coordinates = (*ANGLES, *zeta, *position_columns(rows), *load, POSITION, LENGTH)
     names = dict.fromkeys((*coordinates, *columns, *history))
-    states = list(_states_along(linearized))
+    states = list(_states_along(table))
     carriers = (_make_carrier(name, _along_traverses(len(rows), states, name)) for name in names)
-    return [carrier for carrier in carriers if carrier is not None]
+    return tuple(carrier for carrier in carriers if carrier is not None)
 
 
-def find_load(linearized: LinearizedFit) -> Carrier | None:
+def find_load(table: RowTable) -> Carrier | None:
     """The load along the traverses of a log; None where there is none."""
-    if linearized.rows["before_load"].isna().all():
-        return None
-    states = list(_states_along(linearized))
-    return _make_carrier(LOAD, _along_traverses(len(linearized), states, LOAD))
+    return next((carrier for carrier in find_carriers(table) if carrier.name == LOAD), None)
 
 
-def _states_along(linearized: LinearizedFit) -> Iterator[tuple[IntArray, State]]:
+def _states_along(table: RowTable) -> Iterator[tuple[IntArray, State]]:
     """The machine along the traverses of each joint, with their rows."""
-    for part, table in zip(linearized.parts, linearized.tables, strict=True):
-        joint = getattr(part.law, "joint", None)
-        if joint is not None:
-            start, stop = (np.asarray(table[end], dtype=float)[:, None] for end in ("start", "stop"))
-            yield part.rows, state_at(joint, table, (start + stop) / 2 + (stop - start) / 2 * NODES)
+    of_row = table.columns["joint"]
+    for joint in map(int, np.unique(of_row)):
+        places = np.flatnonzero(of_row == joint)
+        own = table.subset(places)
+        start, stop = (np.asarray(own[end], dtype=float)[:, None] for end in ("start", "stop"))
+        yield places, state_at(joint, own, (start + stop) / 2 + (stop - start) / 2 * NODES)
 
 
 def _along_traverses(n: int, states: Sequence[tuple[IntArray, State]], name: str) -> Array:
@@ -163,12 +165,10 @@ def _make_carrier(name: str, values: Array) -> Carrier | None:
     return Carrier(name, values if along else values[:, :1], low, high, distinct)
 
 
-def of_each_joint(
-    linearized: LinearizedFit, carriers: Sequence[Carrier], name: str
-) -> Iterator[tuple[int, Carrier]]:
+def of_each_joint(table: RowTable, name: str) -> Iterator[tuple[int, Carrier]]:
     """The position of each joint or the length of its traverses, over its own range."""
-    joint = linearized.rows["joint"].to_numpy()
-    for carrier in carriers:
+    joint = table.columns["joint"]
+    for carrier in find_carriers(table):
         for number in map(int, np.unique(joint)) if carrier.name == name else ():
             own = np.where((joint == number)[:, None], carrier.values, np.nan)
             if (of_joint := _make_carrier(name, own)) is not None:

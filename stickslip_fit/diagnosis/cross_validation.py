@@ -24,12 +24,12 @@ from stickslip_fit.diagnosis.linearized import (
     ExtendedFit,
     LawBlock,
     LinearizedFit,
-    RowSubset,
     split_positions,
 )
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.refits import refine_trial
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.diagnosis.selection import Selection
 from stickslip_fit.estimation._groups import Groups, group_rows
 from stickslip_fit.estimation._optimize import minimize
@@ -365,11 +365,13 @@ def _prediction_errors(
         reliability = 1.0 / (1.0 + _calibration_variance(problem.linearize(), split.calibration))
 
         def depart(rows: pd.DataFrame) -> Array:
-            errors = _compute_errors(replace(problem, rows=rows), split.calibration, known, versions, values)
+            errors = _compute_errors(
+                replace(problem, table=RowTable(rows)), split.calibration, known, versions, values
+            )
             return -reliability * errors
 
         without = rows.drop(columns=[name for name in DEPARTURES if name in rows])
-        problem = replace(problem, rows=follow_departures(without, depart, DEPARTURE_PASSES))
+        problem = replace(problem, table=RowTable(follow_departures(without, depart, DEPARTURE_PASSES)))
     errors = _compute_errors(problem, split.calibration, split.held_out, versions, values)
     return errors[split.held_out]
 
@@ -406,7 +408,7 @@ def _compute_errors(
         own = _calibrate_groups(problem, law, part.rows[calibration], groups, start, values)
         rows, at = part.rows[held], np.searchsorted(labels, block[held])
         both = np.concatenate([own[at], np.broadcast_to(values, (len(rows), len(values)))], axis=1)
-        errors[rows] = problem.responses[rows] - law.predict(RowSubset(problem.rows, rows), both)
+        errors[rows] = problem.responses[rows] - law.predict(problem.table.subset(rows), both)
     return errors
 
 
@@ -414,7 +416,7 @@ def _calibrate_groups(
     problem: DiagnosisProblem, law: Any, rows: IntArray, groups: Groups, start: Array, values: Array
 ) -> Array:
     """Own parameters of each group, shape (g, p), the causes' values being fixed."""
-    model = law.model(RowSubset(problem.rows, rows))
+    model = law.model(problem.table.subset(rows))
     shared = np.broadcast_to(values, (len(rows), len(values)))
 
     def own_model(own: Array) -> tuple[Array, Array]:

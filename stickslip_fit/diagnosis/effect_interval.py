@@ -25,7 +25,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.extension import SelectedCause, alternative_forms
 from stickslip_fit.diagnosis.hypotheses import compute_changes
-from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit, RowSubset
+from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1
 from stickslip_fit.diagnosis.misfit import UNKNOWN, detection_length
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
@@ -287,7 +287,7 @@ def fit_beside(selection: Selection, without: SelectedCause) -> ExtendedFit:
         law = reduce(lambda law, one: one.version.extend(law), others, part.law)
         own = part.values.shape[1]
         values = fitted.values[:, np.append(np.ones(own, dtype=bool), kept)]
-        if not np.all(np.isfinite(law.predict(RowSubset(problem.rows, part.rows), values))):
+        if not np.all(np.isfinite(law.predict(problem.table.subset(part.rows), values))):
             values = np.concatenate([part.values, values[:, own:]], axis=1)
         parts.append(replace(part, law=law, values=values))
     known: dict[str, Any] = {"prior_sd": np.full(kept.sum(), np.inf), "at_bound": np.ones(kept.sum(), bool)}

@@ -141,7 +141,7 @@ def build_log_dictionary(linearized: LinearizedFit, machine: JointKinds) -> Dict
     """
     single = [
         (factor, factor.values(carrier.values))
-        for carrier in find_carriers(linearized)
+        for carrier in find_carriers(linearized.table)
         if carrier.name not in WITHOUT_EXPRESSION
         for factor in _functions(carrier, machine)
     ]

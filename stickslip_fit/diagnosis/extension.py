@@ -44,6 +44,7 @@ from stickslip_fit.diagnosis.misfit import (
 )
 from stickslip_fit.diagnosis.noise import NoiseEstimate
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.logs.history import add_departures
 
 # Share of the false-alarm rate for outlying counts: their p-values are rarely close to it, those of faint
@@ -291,7 +292,7 @@ def _fit_with_departures(
         return problem, problem.fit_extended(versions, start)
     fit = problem.fit_extended()
     for _ in range(DEPARTURE_PASSES):
-        problem = replace(problem, rows=add_departures(problem.rows, -fit.residual))
+        problem = replace(problem, table=RowTable(add_departures(problem.rows, -fit.residual)))
         fit = problem.fit_extended(versions, start)
         start = fit.values
     return problem, fit

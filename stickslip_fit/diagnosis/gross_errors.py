@@ -194,7 +194,7 @@ def _iterate_weights(
     for _ in range(MAX_PASSES):
         sd = scale / np.sqrt(weight)
         fit = fit_extended(
-            problem.rows, parts, problem.responses, sd, (), np.zeros(0), n_shared=problem.n_shared
+            problem.table, parts, problem.responses, sd, (), np.zeros(0), n_shared=problem.n_shared
         )
         parts = fit.parts
         scale = _robust_scale(fit.residual, problem)

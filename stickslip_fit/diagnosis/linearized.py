@@ -9,7 +9,7 @@ squares.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from typing import Any
@@ -23,6 +23,7 @@ from scipy.sparse.linalg import splu
 from stickslip_fit._linalg import svd
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.diagnosis.row_table import RowSubset, RowTable
 from stickslip_fit.estimation._block_arrow import share_with_all, shared_covariance, solve_block_arrow
 from stickslip_fit.estimation._groups import Groups
 
@@ -84,7 +85,7 @@ class LinearizedFit:
         Number of columns of `basis` before those.
     """
 
-    rows: pd.DataFrame
+    table: RowTable
     parts: tuple[LawBlock, ...]
     scale: Array
     residual: Array
@@ -97,15 +98,20 @@ class LinearizedFit:
     def __len__(self) -> int:
         return len(self.residual)
 
-    @cached_property
+    @property
+    def rows(self) -> pd.DataFrame:
+        """The n rows."""
+        return self.table.frame
+
+    @property
     def columns(self) -> dict[str, npt.NDArray[Any]]:
-        """Columns of the rows, as arrays; cached, since every cause reads them."""
-        return {str(name): self.rows[name].to_numpy() for name in self.rows}
+        """Columns of the rows, as arrays."""
+        return self.table.columns
 
     @cached_property
     def tables(self) -> tuple[RowSubset, ...]:
         """As `columns`, for each part's rows."""
-        return tuple(RowSubset(self.rows, part.rows) for part in self.parts)
+        return tuple(self.table.subset(part.rows) for part in self.parts)
 
     @property
     def df(self) -> int:
@@ -213,7 +219,7 @@ class LinearizedFit:
         border = _orthonormalize(shared - basis @ (basis.T @ shared))
         smaller = replace(
             self,
-            rows=self.rows.iloc[kept].reset_index(drop=True),
+            table=RowTable(self.rows.iloc[kept].reset_index(drop=True)),
             parts=select_parts(self.parts, place),
             scale=self.scale[kept],
             residual=self.residual[kept],
@@ -235,25 +241,6 @@ def select_parts(parts: Sequence[LawBlock], place: IntArray) -> tuple[LawBlock, 
     return tuple(selected)
 
 
-class RowSubset(Mapping[str, npt.NDArray[Any]]):
-    """Some rows of a table, as arrays: of the columns that are asked for, since a law needs few of many."""
-
-    def __init__(self, table: pd.DataFrame, rows: IntArray) -> None:
-        self._table, self._rows = table, rows
-        self._known: dict[str, npt.NDArray[Any]] = {}
-
-    def __getitem__(self, name: str) -> npt.NDArray[Any]:
-        if name not in self._known:
-            self._known[name] = self._table[name].to_numpy()[self._rows]
-        return self._known[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._table)
-
-    def __len__(self) -> int:
-        return self._table.shape[1]
-
-
 def whiten(changes: Array, scale: Array, noise_filter: csr_array | None) -> Array:
     """Changes over the standard deviation of the noise, its autocorrelation removed; (n,) or (n, m)."""
     scaled = changes / (scale if changes.ndim == 1 else scale[:, None])
@@ -266,7 +253,7 @@ def select_filter(noise_filter: csr_array | None, rows: IntArray) -> csr_array |
 
 
 def linearize_fit(
-    rows: pd.DataFrame,
+    table: RowTable,
     parts: Sequence[LawBlock],
     responses: Array,
     scale: Array,
@@ -281,7 +268,7 @@ def linearize_fit(
 
     Parameters
     ----------
-    rows : DataFrame
+    table : RowTable
         n rows.
     parts : sequence of LawBlock
         Between them every row once.
@@ -301,10 +288,10 @@ def linearize_fit(
         Changes of the responses of some rows that a law's own choice leaves open, to project out; no row is
         in two of them.
     """
-    n = len(rows)
+    n = len(table)
     residual, common, blocks = np.zeros(n), np.zeros((n, shared)), []
     for part in parts:
-        predicted, slopes = part.law.model(RowSubset(rows, part.rows))(part.values)
+        predicted, slopes = part.law.model(table.subset(part.rows))(part.values)
         own_filter = select_filter(noise_filter, part.rows)
         residual[part.rows] = whiten(responses[part.rows] - predicted, scale[part.rows], own_filter)
         whitened, own = whiten(slopes, scale[part.rows], own_filter), slopes.shape[1] - shared
@@ -327,7 +314,7 @@ def linearize_fit(
     if prior_sd is not None and np.isfinite(prior_sd).any():
         common = _keep_determined(common, basis, prior_sd)
     known = tuple(parts), scale, residual, basis, tuple(blocks), noise_filter, common[:, :0], basis.shape[1]
-    linearized = LinearizedFit(rows, *known)
+    linearized = LinearizedFit(table, *known)
     return replace(linearized, residual=linearized.project(residual)).absorb(common)
 
 
@@ -445,7 +432,7 @@ class ExtendedFit:
 
 
 def fit_extended(
-    rows: pd.DataFrame,
+    table: RowTable,
     parts: Sequence[LawBlock],
     responses: Array,
     scale: Array,
@@ -465,8 +452,8 @@ def fit_extended(
     widest, shared = max(part.values.shape[1] for part in parts) - n_shared, n_shared + len(start)
     columns_of = [np.r_[: part.values.shape[1] - n_shared, widest : widest + shared] for part in parts]
     prior_sd = np.array([parameter.prior_sd for cause in causes for parameter in cause.parameters])
-    blocks, n = _group_blocks(rows, parts), len(rows)
-    models = [law.model(RowSubset(rows, part.rows)) for law, part in zip(extended, parts, strict=True)]
+    blocks, n = _group_blocks(len(table), parts), len(table)
+    models = [law.model(table.subset(part.rows)) for law, part in zip(extended, parts, strict=True)]
 
     def model(values: Array) -> tuple[Array, Array]:
         predicted, slopes = np.empty(n), np.zeros((n, widest + shared))
@@ -547,8 +534,8 @@ def _equal_lengths(slopes: Array, weight: Array, blocks: Groups, scales: Array, 
     return np.where(squares > 0, 1.0 / np.sqrt(np.where(squares > 0, squares, 1.0)), scales)
 
 
-def _group_blocks(rows: pd.DataFrame, parts: Sequence[LawBlock]) -> Groups:
-    keys = np.empty((len(rows), 2), dtype=np.intp)
+def _group_blocks(n: int, parts: Sequence[LawBlock]) -> Groups:
+    keys = np.empty((n, 2), dtype=np.intp)
     for number, part in enumerate(parts):
         keys[part.rows] = np.column_stack([np.full(len(part.rows), number), part.block])
     labels, of_row = unique_rows(keys)

@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from scipy.linalg import block_diag
 from scipy.sparse import csr_array
 
@@ -34,6 +33,7 @@ from stickslip_fit.diagnosis.linearized import (
     split_positions,
     whiten,
 )
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.laws import State, StepLaw
 
 MIN_COEFFICIENTS = 40  # of a function, with fewer of which all are fitted
@@ -131,7 +131,7 @@ class PartialFactor(LinearFactor):
 
 
 def fit_penalized(
-    rows: pd.DataFrame,
+    table: RowTable,
     parts: Sequence[LawBlock],
     responses: Array,
     scale: Array,
@@ -144,18 +144,18 @@ def fit_penalized(
     """As `fit_extended`; smooth functions of many coefficients along the directions that the rows see."""
     options: Any = {"n_shared": n_shared, "noise_filter": noise_filter}
     if not any(map(_has_many, causes)):
-        return fit_extended(rows, parts, responses, scale, causes, start, **options)
+        return fit_extended(table, parts, responses, scale, causes, start, **options)
     values, before = start, parts
     for _ in range(MAX_ROUNDS):
         with np.errstate(all="ignore"):
-            slopes = cause_jacobian(rows, _extend(before, causes, values), len(values))
+            slopes = cause_jacobian(table.frame, _extend(before, causes, values), len(values))
         if not np.isfinite(slopes).all():
-            return fit_extended(rows, parts, responses, scale, causes, start, **options)
+            return fit_extended(table, parts, responses, scale, causes, start, **options)
         seen = _find_directions(causes, whiten(slopes, scale, noise_filter))
         first = seen.project(values)
         if before is not parts and np.linalg.norm((values - seen.expand(first)) / seen.units) < MAX_OUTSIDE:
             break
-        fit = fit_extended(rows, before, responses, scale, seen.causes, first, **options)
+        fit = fit_extended(table, before, responses, scale, seen.causes, first, **options)
         values, found = seen.expand(fit.values), seen
         before = [
             replace(part, values=fitted.values[:, : part.values.shape[1]])

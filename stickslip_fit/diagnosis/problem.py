@@ -36,6 +36,7 @@ from stickslip_fit.diagnosis.misfit import StructureRemoved
 from stickslip_fit.diagnosis.noise import MIN_SD, NoiseEstimate, estimate_noise
 from stickslip_fit.diagnosis.noise_shape import Quantization, Skewness, find_count_spacing
 from stickslip_fit.diagnosis.penalized_fit import fit_penalized
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.estimation._groups import usable_rows
 from stickslip_fit.estimation.drive_ratio import ratio_changes
 from stickslip_fit.estimation.least_squares import fit_joint
@@ -56,8 +57,8 @@ class DiagnosisProblem:
 
     Attributes
     ----------
-    rows : DataFrame
-        With a ``session``.
+    table : RowTable
+        The rows, with a ``session``.
     parts : tuple of LawBlock
         The baseline laws at their fitted values; between them every row once.
     responses, rounding : array, shape (n,)
@@ -107,7 +108,7 @@ class DiagnosisProblem:
         Changes of the responses that the choice of a law leaves open, see `linearize_fit`.
     """
 
-    rows: pd.DataFrame
+    table: RowTable
     parts: tuple[LawBlock, ...]
     responses: Array
     rounding: Array
@@ -133,6 +134,11 @@ class DiagnosisProblem:
 
     def __len__(self) -> int:
         return len(self.responses)
+
+    @property
+    def rows(self) -> pd.DataFrame:
+        """The n rows."""
+        return self.table.frame
 
     @property
     def scale(self) -> Array:
@@ -179,7 +185,7 @@ class DiagnosisProblem:
 
     def _linearize(self, parts: Sequence[LawBlock], n_shared: int, **options: Any) -> LinearizedFit:
         options |= {"noise_filter": self.noise_filter, "uncertain": self.uncertain}
-        return linearize_fit(self.rows, parts, self.responses, self.scale, shared=n_shared, **options)
+        return linearize_fit(self.table, parts, self.responses, self.scale, shared=n_shared, **options)
 
     @property
     def with_laws_as_chosen(self) -> DiagnosisProblem:
@@ -213,7 +219,7 @@ class DiagnosisProblem:
         parts, q = (self.parts, 0) if fit is None else (fit.parts, len(fit.values))
         priors: dict[str, Any] = {} if fit is None else {"prior_sd": fit.prior_sd, "at_bound": fit.at_bound}
         independent = linearize_fit(
-            self.rows, parts, self.responses, self.scale, shared=self.n_shared + q, **priors
+            self.table, parts, self.responses, self.scale, shared=self.n_shared + q, **priors
         )
         estimate = replace(self, autocorrelation=self.autocorrelation.estimate(independent))
         if not len(self.correlation) and not len(estimate.correlation):
@@ -284,7 +290,7 @@ class DiagnosisProblem:
 
     def _fit(self, versions: Sequence[Any], start: Array) -> ExtendedFit:
         return fit_penalized(
-            self.rows,
+            self.table,
             self.parts,
             self.responses,
             self.scale,
@@ -316,7 +322,7 @@ class DiagnosisProblem:
             uncertain=tuple(
                 (place[rows][place[rows] >= 0], changes[place[rows] >= 0]) for rows, changes in self.uncertain
             ),
-            rows=self.rows.iloc[kept].reset_index(drop=True),
+            table=RowTable(self.rows.iloc[kept].reset_index(drop=True)),
             parts=select_parts(self.parts, place),
             **{
                 name: getattr(self, name)[kept]
@@ -375,7 +381,7 @@ def problem_from_log(
     sd = np.array(repeatability)
     known = np.isfinite(sd)
     problem = DiagnosisProblem(
-        rows=rows,
+        table=RowTable(rows),
         parts=tuple(parts),
         responses=responses,
         rounding=rounding,

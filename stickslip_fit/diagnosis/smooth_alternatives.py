@@ -51,6 +51,7 @@ from stickslip_fit.diagnosis.hypotheses import (
     make_hypothesis,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.logs.history import (
     FURTHER_HISTORY,
     JOINT_NET_USE,
@@ -79,49 +80,79 @@ SIGNS = {"+": 1.0, "-": -1.0}
 LOWEST, LOW, LOAD_ORDERS = ((1, 1),), ((1, 1), (1, 2), (2, 1), (2, 2)), 4
 
 
-def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
-    """Gaussian processes over every carrier, and products of two."""
-    carriers = find_carriers(linearized)
-    shapes = [
+Function = tuple[str, SmoothTerm, Array]
+"""What the hypotheses of it are called, the function, and its columns, shape (n, m)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Functions:
+    """The functions of the carriers of some rows, the same whatever the law and its noise.
+
+    Attributes
+    ----------
+    of_carriers, products : tuple of Function
+    profiles : tuple of (int, int, Function)
+        Of each joint's position: which of the correlation lengths, and the joint.
+    of_lengths : tuple of (int, Function)
+        Of the length of each joint's traverses.
+    """
+
+    of_carriers: tuple[Function, ...]
+    products: tuple[Function, ...]
+    profiles: tuple[tuple[int, int, Function], ...]
+    of_lengths: tuple[tuple[int, Function], ...]
+
+
+def _find_functions(table: RowTable) -> _Functions:
+    carriers = find_carriers(table)
+    of_joints = list(of_each_joint(table, POSITION))
+    travel = tuple((joint, carrier.low, carrier.high) for joint, carrier in of_joints)
+    scaled = [_as_share(carrier, of_joints) if carrier.name == POSITION else carrier for carrier in carriers]
+    return _Functions(
         # A function of the load, different in each joint and direction, is nonlinearity of the load.
-        *(
+        of_carriers=tuple(
             (carrier.name, *_smooth_functions(carrier, length))
             for carrier in carriers
             if carrier.name not in (POSITION, TRANSVERSE_LOAD, LENGTH)
             for length in _lengths(carrier)
         ),
-    ]
-    of_joints = list(of_each_joint(linearized, carriers, POSITION))
-    travel = tuple((joint, carrier.low, carrier.high) for joint, carrier in of_joints)
-    scaled = [_as_share(carrier, of_joints) if carrier.name == POSITION else carrier for carrier in carriers]
-    products = [
-        (f"product of {one.name} and {other.name}", *_product(one, other, orders, travel))
-        for one, other in combinations(scaled, 2)
-        for orders in _interactions(one.name, other.name)
-    ]
-    profiles = [
-        (place, joint, (POSITION, *_smooth_functions(carrier, length)))
-        for joint, carrier in of_joints
-        for place, length in enumerate(_lengths(carrier))
-    ]
-    builder = _Builder(linearized)
+        products=tuple(
+            (f"product of {one.name} and {other.name}", *_product(one, other, orders, travel))
+            for one, other in combinations(scaled, 2)
+            for orders in _interactions(one.name, other.name)
+        ),
+        profiles=tuple(
+            (place, joint, (POSITION, *_smooth_functions(carrier, length)))
+            for joint, carrier in of_joints
+            for place, length in enumerate(_lengths(carrier))
+        ),
+        of_lengths=tuple(
+            (joint, (LENGTH, *_smooth_functions(carrier, length)))
+            for joint, carrier in of_each_joint(table, LENGTH)
+            # Of few lengths any function is as good as the few steps that a late stop adds to each count.
+            if carrier.distinct >= MIN_LENGTHS
+            for length in _lengths(carrier)
+        ),
+    )
+
+
+def build_smooth_alternatives(linearized: LinearizedFit) -> list[Hypothesis]:
+    """Gaussian processes over every carrier, and products of two."""
+    functions, builder = linearized.table.once(_find_functions), _Builder(linearized)
     hypotheses: list[Hypothesis] = []
-    for one in builder.effects_of(one for one in shapes if one[0] != LOAD):
+    for one in builder.effects_of(one for one in functions.of_carriers if one[0] != LOAD):
         hypotheses += builder.shapes(one)
-    for one in builder.effects_of(one for one in shapes if one[0] in (*ANGLES, LOAD)):
+    for one in builder.effects_of(one for one in functions.of_carriers if one[0] in (*ANGLES, LOAD)):
         hypotheses += builder.by_session(one)
-    for one in builder.effects_of(products):
+    for one in builder.effects_of(functions.products):
         hypotheses += (builder.broad if {*WITH_PRODUCTS} & {*one.term.carriers} else builder.shapes)(one)
-    for one in builder.effects_of(_added_to_counts(linearized, carriers)):
+    for one in builder.effects_of(_added_to_counts(linearized)):
         hypotheses += builder.added(one)
-    for joint, carrier in of_each_joint(linearized, carriers, LENGTH):
-        # Of few lengths any function is as good as the few steps that a late stop adds to each count.
-        if carrier.distinct >= MIN_LENGTHS:
-            own = [(LENGTH, *_smooth_functions(carrier, length)) for length in _lengths(carrier)]
-            for one in builder.effects_of(own):
-                hypotheses += builder.of_joint(joint, one)[0]
+    for joint, own in functions.of_lengths:
+        for one in builder.effects_of([own]):
+            hypotheses += builder.of_joint(joint, one)[0]
     by_shape: dict[tuple[int, str], list[Hypothesis]] = {}
-    for place, joint, profile in profiles:
+    for place, joint, profile in functions.profiles:
         for effects in builder.effects_of([profile]):
             for ending, found in builder.profiles(joint, effects).items():
                 hypotheses.append(found)
@@ -168,16 +199,14 @@ def _smooth_functions(carrier: Carrier, length: float) -> tuple[SmoothTerm, Arra
     return term, carrier.waves(len(sds)) * sds
 
 
-def _added_to_counts(
-    linearized: LinearizedFit, carriers: Sequence[Carrier]
-) -> Iterator[tuple[str, SmoothTerm, Array]]:
+def _added_to_counts(linearized: LinearizedFit) -> Iterator[Function]:
     """Functions of steps that are added to counts; none where each joint's counts are much alike."""
     rows = linearized.rows
     # Those of the law: counts themselves would bring their noise into what is to explain it.
     steps = np.maximum(rows["steps"].to_numpy(float), 1.0) * np.exp(-linearized.unwhiten(linearized.residual))
     if not (pd.Series(np.log(steps)).groupby(rows["joint"]).std() > MIN_SPREAD_OF_COUNTS).any():
         return
-    for carrier in carriers:
+    for carrier in find_carriers(linearized.table):
         if carrier.name not in (*ALONG, LENGTH):
             term, columns = _smooth_functions(carrier, LENGTHS[0])
             columns = STEPS_SCALE / SMOOTH_SCALE * columns / steps[:, None]
@@ -346,9 +375,9 @@ class _Builder:
             self._rows[group] = np.flatnonzero(inside)
         return self._rows[group]
 
-    def effects_of(self, functions: Iterable[tuple[str, SmoothTerm, Array]]) -> Iterator[_Effects]:
+    def effects_of(self, functions: Iterable[Function]) -> Iterator[_Effects]:
         """Of functions, with their names and terms, shape (n, m) each: equally many columns in one batch."""
-        alike: dict[int, list[tuple[str, SmoothTerm, Array]]] = {}
+        alike: dict[int, list[Function]] = {}
         for one in functions:
             alike.setdefault(one[2].shape[1], []).append(one)
         for width, ones in alike.items():

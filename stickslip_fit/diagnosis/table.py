@@ -34,6 +34,7 @@ from stickslip_fit.diagnosis.noise_growth import with_growing_noise
 from stickslip_fit.diagnosis.pipeline import diagnose_problem
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.result import Diagnosis
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.diagnosis.table_alternatives import TableAlternatives, response_columns
 from stickslip_fit.diagnosis.table_noise import weigh_rows, with_samples
 from stickslip_fit.diagnosis.table_rows import (
@@ -243,7 +244,7 @@ def problem_from_table(
     covariates = table_library.covariate_columns(rows, bound, roles)
     alternatives = TableAlternatives.of(rows, bound, roles, covariates, sample is not None)
     problem = DiagnosisProblem(
-        rows=rows,
+        table=RowTable(rows),
         parts=(part,),
         responses=y,
         rounding=rounding,
@@ -334,7 +335,7 @@ def _fit_law(law: Any, rows: pd.DataFrame, y: Array) -> tuple[LawBlock, float]:
         np.array([one.upper for one in law.parameters]),
     )
     residual = y - law.predict(rows, part.values)
-    df = max(linearize_fit(rows, (part,), y, scale, shared=law.n_shared).df, 1)
+    df = max(linearize_fit(RowTable(rows), (part,), y, scale, shared=law.n_shared).df, 1)
     return part, float(np.sqrt(np.sum(residual**2) / df))
 
 

@@ -29,6 +29,7 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.proposed import POSITION, TRANSVERSE_LOAD, ZETA
 from stickslip_fit.diagnosis.carriers import find_carriers, traverse_average
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.logs.history import JOINT_NET_USE, NET_USE, PAST, RECENT_USE, TIME_OF_DAY
 
 # Carriers that are no reason for noise.
@@ -246,34 +247,56 @@ def group_rows(
     linearized: LinearizedFit, configuration: IntArray, residuals: Residuals
 ) -> dict[str, Grouping]:
     """Groupings of rows within which the noise may be larger, by what the rows of a group have in common."""
-    rows, n = linearized.rows, len(linearized)
-    session = pd.factorize(rows["session"].astype(object))[0]
-    joint, everywhere = np.zeros(n, dtype=int), np.zeros(n, dtype=int)
-    labels: dict[str, npt.NDArray[np.integer]] = {}
-    if {"joint", "start", "stop", "before_load"} <= set(rows.columns):
-        joint = rows["joint"].to_numpy(int)
-        ends = np.sort(rows[["start", "stop"]].to_numpy(float), axis=1).round(6)
-        labels["range"] = unique_rows(np.column_stack([joint, ends]))[1]
-        for carrier in find_carriers(linearized):
-            if carrier.name in NO_REASON:
-                continue
-            labels[carrier.name] = _bin(traverse_average(carrier.values), joint)
-        labels[POSITION] = _bin(_estimate_local_sds(ends, joint, residuals), joint)
-    parts = {}
-    if rows["session_seconds"].notna().all():  # else the order of the rows means nothing
-        part = rank_within(session) * N_PARTS // np.bincount(session)[session]
-        parts["part of a session"] = _make_grouping(session * N_PARTS + part, everywhere)
-    groupings = {
-        "session": _make_grouping(session, everywhere, 0),
-        **parts,
-        "configuration": _make_grouping(configuration, joint),
-        **{name: _make_grouping(label, joint) for name, label in labels.items()},
-    }
+    n, known = len(linearized), linearized.table.once(_group_by_columns)
+    groupings = {**known.of_sessions, "configuration": _make_grouping(configuration, known.joint)}
+    groupings |= known.of_carriers
+    if known.ends is not None:
+        local = _bin(_estimate_local_sds(known.ends, known.joint, residuals), known.joint)
+        groupings[POSITION] = _make_grouping(local, known.joint)
     return {
         name: grouping
         for name, grouping in groupings.items()
         if 1 < len(grouping.stratum) <= n / MIN_GROUP_ROWS
     }
+
+
+@dataclass(frozen=True, eq=False)
+class _ColumnGroupings:
+    """Groupings that follow from the columns of n rows alone.
+
+    Attributes
+    ----------
+    joint : array of int, shape (n,)
+        0 of what has no joint.
+    ends : array, shape (n, 2), or None
+        Of each traverse, the lower one first; None for rows that are no traverses.
+    of_sessions, of_carriers : dict of str to Grouping
+    """
+
+    joint: IntArray
+    ends: Array | None
+    of_sessions: dict[str, Grouping]
+    of_carriers: dict[str, Grouping]
+
+
+def _group_by_columns(table: RowTable) -> _ColumnGroupings:
+    rows, n = table.frame, len(table)
+    session = pd.factorize(rows["session"].astype(object))[0]
+    joint, everywhere, ends = np.zeros(n, dtype=np.intp), np.zeros(n, dtype=np.intp), None
+    of_sessions = {"session": _make_grouping(session, everywhere, 0)}
+    if rows["session_seconds"].notna().all():  # else the order of the rows means nothing
+        part = rank_within(session) * N_PARTS // np.bincount(session)[session]
+        of_sessions["part of a session"] = _make_grouping(session * N_PARTS + part, everywhere)
+    of_carriers = {}
+    if {"joint", "start", "stop", "before_load"} <= set(rows.columns):
+        joint = rows["joint"].to_numpy(np.intp)
+        ends = np.sort(rows[["start", "stop"]].to_numpy(float), axis=1).round(6)
+        of_carriers["range"] = _make_grouping(unique_rows(np.column_stack([joint, ends]))[1], joint)
+        for carrier in find_carriers(table):
+            if carrier.name not in NO_REASON:
+                label = _bin(traverse_average(carrier.values), joint)
+                of_carriers[carrier.name] = _make_grouping(label, joint)
+    return _ColumnGroupings(joint, ends, of_sessions, of_carriers)
 
 
 def _make_grouping(

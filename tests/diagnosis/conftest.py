@@ -7,6 +7,7 @@ import pytest
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis
 from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.laws import Prismatic
 
 SETTINGS = (
@@ -108,6 +109,6 @@ def linearize(rows, parts):
 
     def make(departure):
         responses = Prismatic().predict(rows, parts[0].values) + departure
-        return linearize_fit(rows, parts, responses, np.full(len(rows), NOISE))
+        return linearize_fit(RowTable(rows), parts, responses, np.full(len(rows), NOISE))
 
     return make

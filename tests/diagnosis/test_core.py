@@ -14,6 +14,7 @@ from stickslip_fit.diagnosis.linearized import fit_extended, linearize_fit
 from stickslip_fit.diagnosis.memory import AR1, Sequences, log_memory_evidence
 from stickslip_fit.diagnosis.misfit import compute_p_value, weigh_evidence
 from stickslip_fit.diagnosis.noise import find_outliers
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.laws import Prismatic
 
 NOISE = 0.003
@@ -106,7 +107,7 @@ def test_causes_are_refitted_with_the_law(rows, parts):
     warm = -np.log(1 + 0.03 * -np.expm1(-seconds / 5000.0))
     responses = Prismatic().predict(rows, parts[0].values) + warm + NOISE * rng.standard_normal(len(rows))
     scale = np.full(len(rows), NOISE)
-    found = fit_extended(rows, parts, responses, scale, [ThermalWarmUp()], np.array([0.01, 1000.0]))
+    found = fit_extended(RowTable(rows), parts, responses, scale, [ThermalWarmUp()], np.array([0.01, 1000.0]))
 
     def misfits(x):
         a, b, c = x[:4][block] * 1e-6, x[4:8][block], x[8:12][block] * 1e-6
@@ -126,8 +127,8 @@ def test_what_is_left_under_a_refitted_cause_does_not_show_it_again(rows, parts,
     responses = Prismatic().predict(rows, parts[0].values) + drift
     scale = np.full(len(rows), NOISE)
     before = linearize(drift)
-    found = fit_extended(rows, parts, responses, scale, [Drift()], np.array([1e-7]))
-    after = linearize_fit(rows, found.parts, responses, scale, shared=1)
+    found = fit_extended(RowTable(rows), parts, responses, scale, [Drift()], np.array([1e-7]))
+    after = linearize_fit(RowTable(rows), found.parts, responses, scale, shared=1)
     assert np.linalg.norm(before.residual) > 20
     assert np.linalg.norm(after.residual) < 1e-2
 

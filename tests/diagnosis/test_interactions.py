@@ -205,7 +205,7 @@ def read_with(effect, design, joints, seed=4, replicate=0):
 
 
 def name_carriers(log):
-    return {one.name for one in find_carriers(problem_from_log(log)[0].linearize())}
+    return {one.name for one in find_carriers(problem_from_log(log)[0].table)}
 
 
 @cache

@@ -10,6 +10,7 @@ from scipy.sparse import csr_array
 from stickslip_fit.diagnosis.effect_interval import LawEffect
 from stickslip_fit.diagnosis.lack_of_fit import SHARES, LackOfFit
 from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit
+from stickslip_fit.diagnosis.row_table import RowTable
 
 CELLS, REPLICATES, STRENGTH = 120, 4, 25.0
 N = CELLS * REPLICATES
@@ -43,7 +44,7 @@ def linearized():
     part = LawBlock(JointLaw(), np.arange(N), np.zeros(N, np.intp), np.zeros((N, 0)))
 
     def make(residual, law=part):
-        return LinearizedFit(rows, (law,), np.full(N, 0.003), residual, csr_array((N, 0)), ())
+        return LinearizedFit(RowTable(rows), (law,), np.full(N, 0.003), residual, csr_array((N, 0)), ())
 
     return make
 

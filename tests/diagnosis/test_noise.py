@@ -24,6 +24,7 @@ from stickslip_fit.diagnosis.misfit import (
     weigh_evidence,
 )
 from stickslip_fit.diagnosis.noise import estimate_noise, find_outliers, shrink_variances
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.diagnosis.separability import compute_cosines
 from stickslip_fit.diagnosis.unknown_size import estimate_ar1_effect
 from stickslip_fit.laws import Prismatic
@@ -117,7 +118,7 @@ def test_a_wild_count_is_one_where_the_others_are_tame(rows, parts, tails, seen)
     noise[77] = 7.0
     responses = Prismatic().predict(many, values) + NOISE * noise
     part = LawBlock(Prismatic(), np.arange(len(many)), block, values)
-    linearized = linearize_fit(many, [part], responses, np.full(len(many), NOISE))
+    linearized = linearize_fit(RowTable(many), [part], responses, np.full(len(many), NOISE))
     found = find_outliers(linearized, linearized.residual, drive_of(many), 999, rng)
     assert (found.p_value < 0.01) == seen
     assert not seen or found.rows.tolist() == [77]
@@ -139,7 +140,7 @@ def test_memory_is_as_large_as_calibration_leaves_it(rows, parts, one_way, logs)
             carried[row] = share * noise[row - 1]
             noise[row] += carried[row]
         responses = Prismatic().predict(short, part.values) + NOISE * noise
-        linearized = linearize_fit(short, [part], responses, np.full(n, 3.0 * NOISE))
+        linearized = linearize_fit(RowTable(short), [part], responses, np.full(n, 3.0 * NOISE))
         sequences = Sequences.of(before, linearized.basis, onto if one_way else None)
         effect = estimate_ar1_effect(linearized, AR1("unknown:memory", sequences, 0.5), linearized)
         basis = linearized.basis.toarray()
@@ -229,12 +230,12 @@ def test_noise_is_told_by_as_many_rows_as_the_law_leaves(rows, parts, df):
     """Over 60 logs of laws that follow some rows much closer than others."""
     rng, n, predicted = np.random.default_rng(df), len(rows), Prismatic().predict(rows, parts[0].values)
     scale, whole, drive = np.full(n, NOISE), np.zeros(n), drive_of(rows)
-    calibration = linearize_fit(rows, parts, predicted, scale).basis.shape[1]
+    calibration = linearize_fit(RowTable(rows), parts, predicted, scale).basis.shape[1]
     variance, uneven = [], 0
     for _ in range(60):
         further = np.exp(rng.standard_normal((n, 1))) * rng.standard_normal((n, n - calibration - df))
         responses = predicted + NOISE * rng.standard_normal(n)
-        linearized = linearize_fit(rows, parts, responses, scale).absorb(further)
+        linearized = linearize_fit(RowTable(rows), parts, responses, scale).absorb(further)
         noise = estimate_noise(
             linearized, StructureRemoved(linearized.residual, whole), whole, drive, kind_of(rows)
         )

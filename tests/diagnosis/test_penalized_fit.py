@@ -14,7 +14,7 @@ from tests.diagnosis.test_averaged_forms import SESSIONS, draw, make_problem, te
 
 
 def fit(problem, fitter, versions, start):
-    return fitter(problem.rows, problem.parts, problem.responses, problem.scale, versions, start)
+    return fitter(problem.table, problem.parts, problem.responses, problem.scale, versions, start)
 
 
 @pytest.mark.parametrize(("length", "size"), [(0.1, 0.05), (0.03, 0.6)])

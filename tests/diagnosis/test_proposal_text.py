@@ -18,6 +18,7 @@ from stickslip_fit.diagnosis._unknown_summary import (
     name_carriers,
 )
 from stickslip_fit.diagnosis.residuals import compare_residuals, finding_shape
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.machine import load_machine
 from stickslip_fit.plotting.diagnosis import plot_residuals
 from stickslip_fit.plotting.residuals import concatenate_sessions, draw_finding, finding_picture
@@ -81,7 +82,9 @@ def test_what_has_numbers_for_names_is_told_by_name_and_what_is_not_known_is_no_
     selection, version = proposed.selection, SmoothTerm(("before_joint",))
     change = np.abs(finding_shape(selection, selection.selected[-1]))
     rows = selection.problem.rows.assign(before_joint=np.where(change > np.median(change), np.nan, 2.0))
-    logged = replace(proposed, selection=replace(selection, problem=replace(selection.problem, rows=rows)))
+    logged = replace(
+        proposed, selection=replace(selection, problem=replace(selection.problem, table=RowTable(rows)))
+    )
     sentence = describe_test(replace(proposed.findings[0], version=version), logged)
     assert len(re.findall(r"joint \d after joint 2 \(steps [+−]?[\d.]+ %\)", sentence)) == 2
 

@@ -55,7 +55,7 @@ def test_a_penalised_fit_is_the_ridge_solution_and_without_a_prior_least_squares
         fit = log_problem.fit_extended([cause], np.zeros(len(SD)))
         assert fit.converged
         # Gauss-Newton from the solution does not move: its gradient, penalty included, is zero.
-        plain = linearize_fit(log_problem.rows, log_problem.parts, log_problem.responses, log_problem.scale)
+        plain = linearize_fit(log_problem.table, log_problem.parts, log_problem.responses, log_problem.scale)
         slopes = np.zeros((len(log_problem), len(SD)))
         for part in fit.parts:
             jacobian = part.law.jacobian(log_problem.rows.iloc[part.rows], part.values)

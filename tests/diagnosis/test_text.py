@@ -12,6 +12,7 @@ from stickslip_fit.causes import PayloadChange, SessionJump, SizedParameter, cov
 from stickslip_fit.diagnosis import Finding, Gain, NextTraverse, diagnose
 from stickslip_fit.diagnosis._log_words import describe_effect, remedy_for
 from stickslip_fit.diagnosis._summary import _parameter_tables, write_headline
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.units import Interval
 from tests.diagnosis.conftest import ALPHA, REPEATABILITY, changed, hours_in
 
@@ -187,7 +188,7 @@ def test_without_a_repeated_traverse_nothing_is_said_to_repeat(named):
     selection = copy(named.selection)
     rows = named.selection.problem.rows
     once = rows.drop_duplicates(["session", "joint", "direction", "q1", "q2", "q3", "theta", "psi"])
-    object.__setattr__(selection, "problem", replace(selection.problem, rows=once))
+    object.__setattr__(selection, "problem", replace(selection.problem, table=RowTable(once)))
     said = told(replace(named, selection=selection))
     assert "repeatab" not in said
     assert re.search(r"scatter that no law explains is \d\.\d+ % \(no traverse was repeated\)", said)

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.diagnosis.unevenness import Grouping, Residuals, estimate_unevenness, group_rows
 
 N, KINDS = 480, 40
@@ -132,12 +133,12 @@ def test_what_calibration_fitted_before_makes_no_difference():
 def test_rows_of_any_table_are_grouped_by_session_and_configuration():
     seconds = np.repeat(np.arange(30.0), 2)
     rows = pd.DataFrame({"session": ["a", "b"] * 30, "session_seconds": seconds, "x": np.arange(60.0)})
-    plain = LinearizedFit(rows, (), np.ones(60), np.zeros(60), None, ())
+    plain = LinearizedFit(RowTable(rows), (), np.ones(60), np.zeros(60), None, ())
     nothing = np.zeros(60, dtype=int)
     alone = Residuals(np.ones(60), nothing, np.zeros((60, 1)), nothing)
     groupings = group_rows(plain, np.arange(60) % 5, alone)
     assert set(groupings) == {"session", "part of a session", "configuration"}
     assert len(groupings["part of a session"].stratum) == 6
     assert "configuration" not in group_rows(plain, np.arange(60), alone)  # single rows are no groups
-    untimed = replace(plain, rows=rows.assign(session_seconds=np.nan))  # rows in any order
+    untimed = replace(plain, table=RowTable(rows.assign(session_seconds=np.nan)))  # rows in any order
     assert set(group_rows(untimed, np.arange(60) % 5, alone)) == {"session", "configuration"}
