@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,7 @@ from stickslip_fit.diagnosis.hypotheses import (
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1, memory_alternatives
+from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
 from stickslip_fit.logs.log import number_configurations
 from stickslip_fit.logs.schema import has_times
@@ -122,15 +123,15 @@ def _plain_waves(
 ) -> list[Hypothesis]:
     """Waves in a clock, the first of the carriers, times the `size` of each row, shape (n,)."""
     rows, acts = linearized.rows, size != 0
-    session, names = pd.factorize(rows["session"].astype(object))
+    session, labels = pd.factorize(rows["session"].astype(object))
     values = rows[carriers[0]].to_numpy(float)
     periods = choose_periods(values[acts], session[acts])
     pairs, factor = np.zeros((len(rows), len(periods), 2)), SMOOTH_SCALE * size / linearized.scale
     pairs[acts] = _cosines_and_sines(values[acts], 1.0 / periods) * factor[acts, None, None]
-    plain = PeriodicTerm(carriers, limits, sessions=tuple(map(str, names)), **attributes)
-    waves = [replace(plain, period=period) for period in periods.tolist()]
+    plain = PeriodicTerm(carriers, limits, sessions=tuple(map(str, labels)), **attributes)
+    names, waves = linearized.table.once(_name_waves, plain, *periods.tolist())
     own = [part for session in sessions if len(part := session.restrict(acts))]
-    return build_per_session_hypotheses(_names(waves), len(rows), own, pairs, waves)
+    return build_per_session_hypotheses(names, len(rows), own, pairs, waves)
 
 
 def _periodic_alternatives(
@@ -138,23 +139,26 @@ def _periodic_alternatives(
 ) -> list[Hypothesis]:
     """Waves in time or in the number of traverses, each session's its own, alike or opposite by direction."""
     rows = linearized.rows
-    session, names = pd.factorize(rows["session"].astype(object))
+    session, labels = pd.factorize(rows["session"].astype(object))
     values = rows[clock].to_numpy(float)
     sign = linearized.direction_sign
     periods = choose_periods(values, session, MIN_UNEVEN_PER_PERIOD)
     if clock == "session_order" and _alternates(sign, values, session):
         periods = periods[periods >= 2 * MIN_TRAVERSES_PER_PERIOD]
     pairs = _cosines_and_sines(values, 1.0 / periods) * (SMOOTH_SCALE / linearized.scale)[:, None, None]
-    plain = PeriodicTerm((clock,), ((0.0, float(values.max())),), sessions=tuple(map(str, names)))
-    same = [replace(plain, period=period) for period in periods.tolist()]
-    alike = build_per_session_hypotheses(_names(same), len(rows), sessions, pairs, same)
+    plain = PeriodicTerm((clock,), ((0.0, float(values.max())),), sessions=tuple(map(str, labels)))
+    waves = [linearized.table.once(_name_waves, plain, *periods.tolist())]
+    waves.append(linearized.table.once(_name_waves, replace(plain, mode="opposite"), *periods.tolist()))
+    alike = build_per_session_hypotheses(waves[0].names, len(rows), sessions, pairs, waves[0].versions)
     if linearized.allows_opposite:
-        opposite = [replace(one.version, mode="opposite") for one in alike]
-        turned = zip(alike, _names(opposite), opposite, strict=True)
-        return [*alike, *(replace(one, cause=name, version=own, sign=sign) for one, name, own in turned)]
-    opposite, turned_pairs = [replace(one, mode="opposite") for one in same], pairs * sign[:, None, None]
-    names = _names(opposite)
-    return [*alike, *build_per_session_hypotheses(names, len(rows), sessions, turned_pairs, opposite)]
+        turned = {one.period: (name, one) for name, one in zip(*waves[1], strict=True)}
+        signed = ((one, *turned[one.version.period]) for one in alike)
+        return [*alike, *(replace(one, cause=name, version=own, sign=sign) for one, name, own in signed)]
+    turned_pairs = pairs * sign[:, None, None]
+    return [
+        *alike,
+        *build_per_session_hypotheses(waves[1].names, len(rows), sessions, turned_pairs, waves[1].versions),
+    ]
 
 
 def _alternates(sign: Array, order: Array, session: npt.NDArray[np.intp]) -> bool:
@@ -167,8 +171,16 @@ def _alternates(sign: Array, order: Array, session: npt.NDArray[np.intp]) -> boo
     return bool((turns.abs() > MIN_ALTERNATION).all())
 
 
-def _names(versions: Iterable[PeriodicTerm]) -> list[str]:
-    return [f"unknown:{version}" for version in versions]
+class _Waves(NamedTuple):
+    """Waves of some periods, and what their hypotheses are called."""
+
+    names: list[str]
+    versions: list[PeriodicTerm]
+
+
+def _name_waves(_: RowTable, plain: PeriodicTerm, *periods: float) -> _Waves:
+    versions = [replace(plain, period=period) for period in periods]
+    return _Waves([f"unknown:{version}" for version in versions], versions)
 
 
 def _cosines_and_sines(clock: Array, frequencies: Array) -> Array:

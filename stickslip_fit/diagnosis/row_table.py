@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -27,7 +27,7 @@ class RowTable:
 
     def __init__(self, frame: pd.DataFrame) -> None:
         self.frame = frame
-        self._known: dict[Callable[[RowTable], Any], Any] = {}
+        self._known: dict[tuple[Hashable, ...], Any] = {}
         self._subsets: dict[bytes, RowSubset] = {}
 
     def __len__(self) -> int:
@@ -36,11 +36,11 @@ class RowTable:
     def __reduce__(self) -> tuple[type[RowTable], tuple[pd.DataFrame]]:
         return RowTable, (self.frame,)
 
-    def once[T](self, compute: Callable[[RowTable], T]) -> T:
-        """What a function finds in the rows, computed the first time only."""
-        if compute not in self._known:
-            self._known[compute] = compute(self)
-        known: T = self._known[compute]
+    def once[T](self, compute: Callable[..., T], *given: Hashable) -> T:
+        """What a function finds in the rows, with what else it is given, computed the first time only."""
+        if (key := (compute, *given)) not in self._known:
+            self._known[key] = compute(self, *given)
+        known: T = self._known[key]
         return known
 
     @cached_property
