@@ -26,10 +26,11 @@ from stickslip_fit.causes.proposed import (
     Mode,
     ProposedTerm,
 )
+from stickslip_fit.diagnosis.carrier_functions import interact
 from stickslip_fit.diagnosis.carriers import Carrier, find_carriers, traverse_average
 from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.smooth_alternatives import MIN_SHARE, interact
+from stickslip_fit.diagnosis.smooth_alternatives import MIN_SHARE
 from stickslip_fit.logs.history import unit_of
 from stickslip_fit.logs.schema import is_coordinate
 from stickslip_fit.units import from_si, to_si, unit_of_difference
