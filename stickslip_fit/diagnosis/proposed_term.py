@@ -40,7 +40,7 @@ from stickslip_fit.diagnosis.time_functions import find_time_function
 
 MIN_STAND_IN_LOG_BAYES_FACTOR = 2.0  # nats of a smooth function, below which the law stays as it is
 MEMORY_MARGIN = 3.0  # nats by which an autoregression is likelier, whose noise looks like many a function
-MAX_CLOSER = 5  # functions that are looked at more closely where memory is likelier
+MAX_CLOSER = 5  # functions that are looked at more closely, where memory is likelier or of two carriers
 FACTOR_COST = 2.0  # of the squared residuals that a second factor has to explain
 FINE_LENGTHS = (0.05, 0.03)  # of functions of one carrier, of the range of their cosines
 CLEARLY_LIKELIER = 5.0  # nats, by which another function is likelier than the usual one
@@ -105,7 +105,11 @@ def propose_term(
             changing = [_with_changes(wave, length) for length in CHANGE_LENGTHS]
             shape = _clearly_likelier(changing, shape, linearized, misfit)
     elif isinstance(shape.version, SmoothTerm) and len(shape.version.carriers) == 2:
-        shape = _likeliest(_as_surfaces(shape.version), shape, linearized, misfit.residual)
+        shapes = [shape, *(misfit.hypotheses[place] for place in smooth)]
+        surface = _find_surface(shapes, linearized, misfit.residual)
+        if surface.cause != shape.cause:
+            unknown = replace(unknown, misfit=misfit.with_likeliest(surface))
+        shape = surface
     elif isinstance(shape.version, SmoothTerm) and shape.version.sessions:
         if fine is None and shape.version.carriers == ("session_seconds",):
             fine = find_time_function(linearized, misfit.residual)
@@ -202,13 +206,32 @@ def _with_changes(wave: PeriodicTerm, length: float) -> PeriodicTerm:
     return replace(_with_functions(wave, sds), n_slow=len(slow))
 
 
+def _find_surface(shapes: Sequence[Any], linearized: LinearizedFit, residual: Array) -> Hypothesis:
+    """The likeliest smooth function of the carriers of the first of some shapes, the likeliest first.
+
+    On the joints and directions of that or of another shape: those of the product alone need not be those of
+    the function.
+    """
+    carriers = shapes[0].version.carriers
+    alike = {one.cause: one for one in shapes if one.version.carriers == carriers}
+    surfaces = [
+        _likeliest(_as_surfaces(one.version), one, linearized, residual)
+        for one in list(alike.values())[:MAX_CLOSER]
+    ]
+    return max(surfaces, key=lambda one: _fit_strength(one, residual, linearized.df).evidence)
+
+
 def _as_surfaces(term: SmoothTerm) -> Iterable[SmoothTerm]:
-    """A product of the lowest functions of two carriers, and smooth functions of both that are no product."""
-    for length in SURFACE_LENGTHS:
-        sds = prior_sds(length) / prior_sds(length)[0]
-        orders = tuple(product(range(1, len(sds) + 1), repeat=2))
-        size = (SMOOTH_SCALE * float(sds[one - 1] * sds[other - 1]) for one, other in orders)
-        yield replace(term, orders=orders, sds=tuple(size))
+    """A product of the lowest functions of two carriers, and smooth functions of both that are no product.
+
+    Without and with functions of each alone: an effect of both is rarely none on the average over one of them
+    (P. McCullagh and J. A. Nelder, Generalized Linear Models, 2nd ed., 1989, sect. 3.5).
+    """
+    for length, lowest in product(SURFACE_LENGTHS, (1, 0)):
+        sds = np.r_[1.0, prior_sds(length) / prior_sds(length)[0]]
+        orders = [one for one in product(range(lowest, len(sds)), repeat=2) if any(one)]
+        sizes = (SMOOTH_SCALE * float(sds[one] * sds[other]) for one, other in orders)
+        yield replace(term, orders=tuple(orders), sds=tuple(sizes))
 
 
 def _of_single_joints(wave: PeriodicTerm, linearized: LinearizedFit) -> Iterable[PeriodicTerm]:

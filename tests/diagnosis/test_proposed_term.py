@@ -293,14 +293,17 @@ def law_for(linearized, alternatives, column, expressions, strength=25.0):
     return version, np.sum((effects @ values - change) ** 2) / strength**2
 
 
-def test_a_function_of_two_carriers_has_more_than_their_lowest_functions(linearized, alternatives):
-    """It falls with the one and rises and falls with the other."""
+@pytest.mark.parametrize(
+    "surface",
+    [lambda theta, time: (theta - 0.5) * (4.0 * np.abs(time - 0.5) - 1.0), lambda theta, time: theta * time],
+    ids=["falls with the one, rises and falls with the other", "has a mean over each"],
+)
+def test_a_function_of_two_carriers_has_more_than_their_lowest_functions(linearized, alternatives, surface):
     carriers = ("theta", "session_seconds")
     products = [one for one in alternatives if getattr(one.version, "carriers", ()) == carriers]
     rows = linearized.rows
     theta, time = ((rows[name] - rows[name].min()) / np.ptp(rows[name]) for name in carriers)
-    surface = (theta - 0.5) * (4.0 * np.abs(time - 0.5) - 1.0)
-    version, error = law_for(linearized, products, surface.to_numpy(), lambda fit: None)
+    version, error = law_for(linearized, products, surface(theta, time).to_numpy(), lambda fit: None)
     assert version.carriers == carriers
     assert error < 0.05
 
