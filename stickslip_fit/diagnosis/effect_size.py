@@ -48,7 +48,7 @@ MIN_RIVAL = 0.05  # probability of a rival that is told, even if other data of t
 
 
 def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float) -> tuple[Finding, ...]:
-    """Findings of all selected causes, largest effect first, unknown structure last.
+    """Findings, largest effect first; at last what the law leaves without a name.
 
     `problem` is the one from which was selected, outlying rows included; `alpha` the false-alarm rate.
     """
@@ -64,7 +64,9 @@ def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float)
             findings.append(finding)
         else:
             findings.append(_size_cause(selection, selected, covariance, alpha))
-    return tuple(sorted(findings, key=lambda finding: (finding.cause == UNKNOWN, -finding.effect.estimate)))
+    return tuple(
+        sorted(findings, key=lambda one: (one.cause == UNKNOWN and not one.version, -one.effect.estimate))
+    )
 
 
 def _size_cause(selection: Selection, selected: SelectedCause, covariance: Array, alpha: float) -> Finding:
