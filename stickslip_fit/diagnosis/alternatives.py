@@ -147,17 +147,17 @@ def _periodic_alternatives(
         periods = periods[periods >= 2 * MIN_TRAVERSES_PER_PERIOD]
     pairs = _cosines_and_sines(values, 1.0 / periods) * (SMOOTH_SCALE / linearized.scale)[:, None, None]
     plain = PeriodicTerm((clock,), ((0.0, float(values.max())),), sessions=tuple(map(str, labels)))
-    waves = [linearized.table.once(_name_waves, plain, *periods.tolist())]
-    waves.append(linearized.table.once(_name_waves, replace(plain, mode="opposite"), *periods.tolist()))
-    alike = build_per_session_hypotheses(waves[0].names, len(rows), sessions, pairs, waves[0].versions)
+    same = linearized.table.once(_name_waves, plain, *periods.tolist())
+    opposite = linearized.table.once(_name_waves, replace(plain, mode="opposite"), *periods.tolist())
+    alike = build_per_session_hypotheses(same.names, len(rows), sessions, pairs, same.versions)
     if linearized.allows_opposite:
-        turned = {one.period: (name, one) for name, one in zip(*waves[1], strict=True)}
+        turned = {one.period: (name, one) for name, one in zip(*opposite, strict=True)}
         signed = ((one, *turned[one.version.period]) for one in alike)
         return [*alike, *(replace(one, cause=name, version=own, sign=sign) for one, name, own in signed)]
-    turned_pairs = pairs * sign[:, None, None]
+    pairs = pairs * sign[:, None, None]
     return [
         *alike,
-        *build_per_session_hypotheses(waves[1].names, len(rows), sessions, turned_pairs, waves[1].versions),
+        *build_per_session_hypotheses(opposite.names, len(rows), sessions, pairs, opposite.versions),
     ]
 
 
