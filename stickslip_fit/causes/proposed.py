@@ -221,15 +221,11 @@ class SmoothTerm(LogLinearFactor):
         return tuple(own.get(joint, limits) if name == POSITION else limits for name, limits in pairs)
 
     def waves(self, values: Sequence[Array], limits: Sequence[tuple[float, float]]) -> list[Array]:
-        """Functions of each carrier, from its values, shape (n, k) -> (n, k, highest order + 1).
-
-        The last one is that of order 0, which `wave_products` looks for before the first.
-        """
-        waves = [
+        """Functions of each carrier, from its values, shape (n, k) -> (n, k, highest order)."""
+        return [
             cosines(one, low, high, max(order[place] for order in self.orders))
             for place, (one, (low, high)) in enumerate(zip(values, limits, strict=True))
         ]
-        return [np.concatenate([one, np.ones((*one.shape[:-1], 1))], axis=-1) for one in waves]
 
 
 @dataclass(frozen=True)

@@ -83,11 +83,20 @@ def rough_prior_sds() -> Array:
 
 
 def wave_products(waves: Sequence[Array], orders: Sequence[Sequence[int]]) -> Array:
-    """Products by their orders of the waves of carriers, each shape (..., highest order); shape (..., q)."""
-    places = np.array(orders) - 1
-    products = waves[0][..., places[:, 0]]
-    for wave, place in zip(waves[1:], places.T[1:], strict=True):
-        products = products * wave[..., place]
+    """Products by their orders of the waves of carriers, each shape (..., highest order); shape (..., q).
+
+    That of order 0 is 1 everywhere.
+
+    Examples
+    --------
+    >>> wave_products([np.array([0.5, 0.2]), np.array([0.3])], [(1, 1), (2, 0), (0, 1)])
+    array([0.15, 0.2 , 0.3 ])
+    """
+    products: Array | float = 1.0
+    for wave, order in zip(waves, np.array(orders).T, strict=True):
+        if not order.all():
+            wave = np.concatenate([wave, np.ones((*wave.shape[:-1], 1))], axis=-1)  # the last, at place -1
+        products = products * wave[..., order - 1]
     return np.asarray(products)
 
 

@@ -130,8 +130,6 @@ class SmoothTableTerm(GenericCause):
             cosines(one, low, high, max(order[place] for order in self.orders))
             for place, (one, (low, high)) in enumerate(zip(values, self.limits, strict=True))
         ]
-        # Of order 0, which `wave_products` looks for before the first one, at the end.
-        waves = [np.concatenate([one, np.ones((len(one), 1))], axis=1) for one in waves]
         return wave_products(waves, self.orders)
 
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:

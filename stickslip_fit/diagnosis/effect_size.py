@@ -7,6 +7,7 @@ adds to the law, and what that leaves, in `unknown_size`.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -48,7 +49,7 @@ MIN_RIVAL = 0.05  # probability of a rival that is told, even if other data of t
 
 
 def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float) -> tuple[Finding, ...]:
-    """Findings, largest effect first; at last what the law leaves without a name.
+    """Findings of all selected causes and of unknown structure, see `order_findings`.
 
     `problem` is the one from which was selected, outlying rows included; `alpha` the false-alarm rate.
     """
@@ -64,9 +65,16 @@ def size_findings(selection: Selection, problem: DiagnosisProblem, alpha: float)
             findings.append(finding)
         else:
             findings.append(_size_cause(selection, selected, covariance, alpha))
-    return tuple(
-        sorted(findings, key=lambda one: (one.cause == UNKNOWN and not one.version, -one.effect.estimate))
-    )
+    return order_findings(findings)
+
+
+def order_findings(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Findings, largest effect first; last what all leave without a name, for which there is no law."""
+
+    def place(one: Finding) -> tuple[bool, float]:
+        return one.cause == UNKNOWN and one.version is None, -one.effect.estimate
+
+    return tuple(sorted(findings, key=place))
 
 
 def _size_cause(selection: Selection, selected: SelectedCause, covariance: Array, alpha: float) -> Finding:

@@ -452,7 +452,7 @@ def _linearize_campaign(
         for one, place in zip(selected, places, strict=True)
     ]
     effects = linearized.whiten(np.concatenate(changes, axis=1))
-    slopes = linearized.whiten(cause_jacobian(selection.problem.rows, fit.parts, len(fit.values)))
+    slopes = linearized.whiten(cause_jacobian(selection.problem.table, fit.parts, len(fit.values)))
     critical = selection.first_misfit.critical_value(allocate_alpha(alpha))
     thresholds = [
         detection_length(critical, one.misfit.n_shapes(one.cause), linearized.df)

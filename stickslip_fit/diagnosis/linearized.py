@@ -327,11 +327,11 @@ def _keep_determined(common: Array, basis: csr_array, prior_sd: Array) -> Array:
     return np.concatenate([free, scaled @ seen_directions(projected, 1.0)], axis=1)
 
 
-def cause_jacobian(rows: pd.DataFrame, parts: Sequence[LawBlock], q: int) -> Array:
+def cause_jacobian(table: RowTable, parts: Sequence[LawBlock], q: int) -> Array:
     """Derivatives of the responses by the last q parameters of the laws, those of the causes; (n, q)."""
-    slopes = np.zeros((len(rows), q))
+    slopes = np.zeros((len(table), q))
     for part in parts:
-        own = part.law.jacobian(rows.iloc[part.rows], part.values)
+        own = part.law.jacobian(table.subset(part.rows), part.values)
         slopes[part.rows] = own[:, own.shape[1] - q :]
     return slopes
 

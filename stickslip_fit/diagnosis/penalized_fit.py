@@ -148,7 +148,7 @@ def fit_penalized(
     values, before = start, parts
     for _ in range(MAX_ROUNDS):
         with np.errstate(all="ignore"):
-            slopes = cause_jacobian(table.frame, _extend(before, causes, values), len(values))
+            slopes = cause_jacobian(table, _extend(before, causes, values), len(values))
         if not np.isfinite(slopes).all():
             return fit_extended(table, parts, responses, scale, causes, start, **options)
         seen = _find_directions(causes, whiten(slopes, scale, noise_filter))

@@ -200,7 +200,7 @@ class DiagnosisProblem:
     def linearize_causes(self, fit: ExtendedFit) -> tuple[LinearizedFit, Array]:
         """A fit of the extended laws without calibration; the whitened slopes of its causes, shape (n, q)."""
         linearized = self.linearize_extended(replace(fit, at_bound=np.ones_like(fit.at_bound)))
-        slopes = linearized.whiten(cause_jacobian(self.rows, fit.parts, len(fit.values)))
+        slopes = linearized.whiten(cause_jacobian(self.table, fit.parts, len(fit.values)))
         return linearized, linearized.project(slopes)
 
     def log_likelihood(self, fit: ExtendedFit) -> float:

@@ -212,8 +212,11 @@ def _find_surface(shapes: Sequence[Any], linearized: LinearizedFit, residual: Ar
     On the joints and directions of that or of another shape: those of the product alone need not be those of
     the function.
     """
-    carriers = shapes[0].version.carriers
-    alike = {one.cause: one for one in shapes if one.version.carriers == carriers}
+    first = shapes[0].version
+    same = [
+        one for one in shapes if (type(one.version), one.version.carriers) == (type(first), first.carriers)
+    ]
+    alike = {one.cause: one for one in same}
     surfaces = [
         _likeliest(_as_surfaces(one.version), one, linearized, residual)
         for one in list(alike.values())[:MAX_CLOSER]

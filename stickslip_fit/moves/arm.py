@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from math import isfinite, nan
+from math import inf, isfinite, nan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -239,10 +239,8 @@ def check_given_conditions(
     for name, value in conditions.items():
         if name not in known:
             message = f"is no condition; give {join_words(known, 'or')}{suggest(name, known)}"
-        elif name in FROM_ZERO and not (isinstance(value, int | float | np.number) and value >= 0):
-            message = f"{FROM_ZERO[name]}; give a number of 0 or more"
-        elif name == TIME_OF_DAY and value > to_si(24.0, "h"):
-            message = f"{WITHIN_A_DAY}, in seconds up to 86400"
+        elif not _is_within(name, value):
+            message = LIMITED[name][1]
         else:
             continue
         issues.append(InputIssue(message, argument="conditions", value=f"{name}={value}"))
@@ -270,12 +268,18 @@ CONDITION_MEANINGS = {
 }
 # What follows from the drives and the session.
 OWN_COLUMNS = ("session", *(name for name in FIRST_TRAVERSE if name != TIME_OF_DAY))
-FROM_ZERO = {
-    "session_seconds": "a session's time is counted from its first traverse on",
-    TIME_OF_DAY: "the time of day is counted from midnight on",
-    "steps_before": "steps are counted from the joint's first one on",
+# From 0 to what they may be, and what to say of others.
+LIMITED = {
+    "session_seconds": (
+        inf,
+        "a session's time is counted from its first traverse on; give a number of 0 or more",
+    ),
+    TIME_OF_DAY: (
+        86_400.0,
+        "the time of day is counted from midnight to midnight; give 0 to 24 h (86,400 s)",
+    ),
+    "steps_before": (inf, "steps are counted from the joint's first one on; give a number of 0 or more"),
 }
-WITHIN_A_DAY = "a time of day is within a day of 24 h"
 REQUIRED_CONDITIONS = (*REQUIRED_HISTORY, "step_period")  # given, or the plan's
 
 
@@ -318,13 +322,17 @@ def parse_conditions(texts: Iterable[str], result: Result, option: str) -> dict[
             number = float(value)
         except ValueError:
             number = nan
-        if not isfinite(number) or (number < 0 and column in FROM_ZERO):
-            fault = f"{FROM_ZERO[column]}; give 0 or more" if isfinite(number) else "give a number"
-            raise InputError(InputIssue(f"{fault}, e.g. {name}=20", column=option, value=text))
-        if column == TIME_OF_DAY and number > 24:
-            raise InputError(InputIssue(f"{WITHIN_A_DAY}; give 0 to 24", column=option, value=text))
         conditions[column] = to_si(number, unit)
+        if not isfinite(number) or not _is_within(column, conditions[column]):
+            fault = LIMITED[column][1] if isfinite(number) else "give a number"
+            raise InputError(InputIssue(f"{fault}, e.g. {name}=20", column=option, value=text))
     return conditions
+
+
+def _is_within(column: str, value: object) -> bool:
+    if column not in LIMITED:
+        return True
+    return isinstance(value, int | float | np.number) and 0 <= float(value) <= LIMITED[column][0]
 
 
 def check_conditions(result: Result, conditions: Mapping[str, Any], option: str) -> None:

@@ -192,7 +192,7 @@ def test_conditions_give_the_position_of_a_joint_to_drives_without_it(result):
 
 def test_conditions_at_the_shell_are_numbers_that_a_drive_can_have(result):
     for text, told in (
-        ("session_min=-30", "give 0 or more, e.g. session_min"),
+        ("session_min=-30", "give a number of 0 or more, e.g. session_min"),
         ("session_s=nan", "number"),
     ):
         with pytest.raises(InputError, match=f"--condition, value '{text}': .*{told}"):

@@ -5,17 +5,43 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stickslip_fit.causes import library
-from stickslip_fit.diagnosis import diagnose
+from stickslip_fit.causes import Drift, library
+from stickslip_fit.causes.proposed import SmoothTerm
+from stickslip_fit.diagnosis import Finding, diagnose
 from stickslip_fit.diagnosis.effect_interval import fit_beside, linearize_unweighted
-from stickslip_fit.diagnosis.effect_size import size_findings
+from stickslip_fit.diagnosis.effect_size import order_findings, size_findings
 from stickslip_fit.diagnosis.hypotheses import compute_changes
+from stickslip_fit.units import Interval
 from tests.hidden.generate import hide
 from tests.hidden.reading import drop_lab_columns, read_hidden
 from tests.hidden.study import Case, make
 
 WARM_UP, HIDDEN = "thermal-warm-up", "unknown:product"
 RIVALS = ("drift", "wear", "session-jump")
+
+
+def test_the_largest_stands_first_and_last_what_all_others_leave():
+    of = {
+        "outliers": (None, 0.2),
+        "drift": (Drift(), 0.1),
+        "load": (SmoothTerm(("load",)), 0.3),
+        "left": (None, 0.9),
+    }
+    findings = {
+        name: Finding(
+            "unknown" if name in ("load", "left") else name,
+            version,
+            (),
+            0.001,
+            (3,),
+            Interval(size, 0.0, 1.0),
+            (),
+        )
+        for name, (version, size) in of.items()
+    }
+    assert order_findings(findings.values()) == tuple(
+        findings[name] for name in ("load", "outliers", "drift", "left")
+    )
 
 
 def hide_both(strengths):

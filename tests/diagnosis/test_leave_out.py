@@ -262,6 +262,7 @@ def test_a_law_for_unknown_structure_is_searched_anew_beside_a_cause():
     log = read_hidden(hide("session", hidden, (25, 25), seed=3, forms=forms))
     _, findings, confirmed, repeated = compare_with_repetition(log)
     assert {one.cause for one in findings} == {"session-jump", UNKNOWN}
+    assert findings[0].effect.estimate > findings[1].effect.estimate
     before, *_, after = np.sqrt(np.mean(repeated**2, axis=1))
     assert after < 0.8 * before
     assert np.sqrt(np.mean((confirmed[-1] - repeated[-1]) ** 2)) < 0.1 * after
