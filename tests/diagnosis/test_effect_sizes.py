@@ -21,27 +21,17 @@ RIVALS = ("drift", "wear", "session-jump")
 
 
 def test_the_largest_stands_first_and_last_what_all_others_leave():
-    of = {
-        "outliers": (None, 0.2),
-        "drift": (Drift(), 0.1),
-        "load": (SmoothTerm(("load",)), 0.3),
-        "left": (None, 0.9),
-    }
-    findings = {
-        name: Finding(
-            "unknown" if name in ("load", "left") else name,
-            version,
-            (),
-            0.001,
-            (3,),
-            Interval(size, 0.0, 1.0),
-            (),
-        )
-        for name, (version, size) in of.items()
-    }
-    assert order_findings(findings.values()) == tuple(
-        findings[name] for name in ("load", "outliers", "drift", "left")
+    found = (
+        ("unknown", None, 0.9),
+        ("drift", Drift(), 0.1),
+        ("end-stop-misfire", None, 0.2),
+        ("unknown", SmoothTerm(("load",)), 0.3),
     )
+    findings = [
+        Finding(cause, version, (), 0.001, (3,), Interval(size, 0.0, 1.0), ())
+        for cause, version, size in found
+    ]
+    assert [one.effect.estimate for one in order_findings(findings)] == [0.3, 0.2, 0.1, 0.9]
 
 
 def hide_both(strengths):
