@@ -71,7 +71,7 @@ def reestimate_noise(problem: DiagnosisProblem) -> Baseline:
         if finer := compute_finer_effects(linearized, misfit):
             # A row at a sudden change would be an outlier by the nearest candidate moment.
             effects += finer
-            misfit = replace(add_candidates(misfit.hypotheses, linearized, finer), failed=misfit.failed)
+            misfit = replace(add_candidates(misfit, linearized, finer), failed=misfit.failed)
         noise, left = estimate_noise_left(problem, linearized, misfit)
         problem = problem.with_noise(noise)
         if np.all(noise.unevenness.ratio == 1.0):

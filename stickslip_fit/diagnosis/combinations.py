@@ -33,6 +33,7 @@ from stickslip_fit.diagnosis.extension import (
     make_selected,
     name_explained,
     try_extension,
+    weigh_causes,
 )
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_finite_effects, make_hypothesis
 from stickslip_fit.diagnosis.influence import assess_support
@@ -176,7 +177,7 @@ def find_in_part(
     versions = [part for one in tried for part in one.restricted(searched.rows)]
     if problem.autocorrelation is not None or not versions:
         return Search(None)
-    test = add_candidates(misfit.hypotheses, searched, compute_finite_effects(searched, versions))
+    test = add_candidates(misfit, searched, compute_finite_effects(searched, versions))
     evidence = test.log_evidence_by_cause
     names = dict.fromkeys(one.name for one in versions)
     best = max(names, key=lambda name: evidence.get(name, -np.inf))
@@ -345,6 +346,16 @@ def _next_cause(
     return left, following, evidence.get(UNKNOWN, -np.inf)
 
 
+def _evidence_of_causes(
+    extension: Extension, selected: Sequence[SelectedCause], without: Sequence[str]
+) -> float:
+    """The evidence of the likeliest cause in that test; functions of its columns change it little."""
+    linearized, names = absorb_unknown(extension, selected), {*name_explained(selected), *without}
+    causes = [one for one in extension.problem.causes if one.name not in names]
+    evidence = weigh_causes(linearized, compute_finite_effects(linearized, causes))
+    return max(evidence.values(), default=-np.inf)
+
+
 @dataclass(frozen=True, eq=False)
 class Exchange:
     """Rivals of a selected cause that with another cause are as likely as it, or likelier.
@@ -393,11 +404,13 @@ def find_exchange(
         of_rival = refits.extension_with(trial) or try_extension(problem, trial)
         if of_rival is None:
             continue
-        left, _, unknown = _next_cause(of_rival, trial, [current.cause])
         alone = advantage(of_rival, extension)
+        least = to_beat - PAIR_LOG_PENALTY - alone if problem.autocorrelation is None else -np.inf
+        if _evidence_of_causes(of_rival, trial, [current.cause]) < least - CAUSE_SET_LOG_BAYES_FACTOR:
+            continue
+        left, _, unknown = _next_cause(of_rival, trial, [current.cause])
         for second in _likely_seconds(left, unknown, problem):
-            likely = alone + left.log_evidence_by_cause[second]
-            if problem.autocorrelation is None and likely < to_beat - PAIR_LOG_PENALTY:
+            if left.log_evidence_by_cause[second] < least:
                 continue  # where the noise stays, a fit adds little to what the linearized effect says
             two = make_selected(left, form_cause_set(left, second))
             if (getattr(two.version, "amplitude", None) or 0.0) > two.version.max_trial_factor:

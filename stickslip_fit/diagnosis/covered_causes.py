@@ -20,18 +20,18 @@ from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR, form_c
 from stickslip_fit.diagnosis.extension import (
     Extension,
     SelectedCause,
-    add_candidates,
     alternative_forms,
     compute_evidence,
     make_selected,
     name_explained,
     try_extension,
+    weigh_causes,
 )
-from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, compute_finite_effects, make_hypothesis
 from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.linearized import LinearizedFit
-from stickslip_fit.diagnosis.misfit import UNKNOWN
-from stickslip_fit.diagnosis.refits import advantage, refit_likeliest
+from stickslip_fit.diagnosis.misfit import UNKNOWN, drop_single_rows, weigh_evidence
+from stickslip_fit.diagnosis.refits import MAX_REFIT_GAIN, advantage, refit_likeliest
 
 MIN_COVERED = 0.5  # of a cause's effect; of any other the test without the forms has told
 # Share of a function's square that it adds to a law whose causes take back the rest. One with less has a
@@ -53,16 +53,20 @@ def find_covered(extension: Extension, level: float) -> tuple[SelectedCause, Ext
     p_value = _test_forms(plain, without_forms)
     if not p_value < level:
         return None
-    test = compute_evidence(plain, problem, name_explained(selected))
+    forms = [
+        make_hypothesis(UNKNOWN, None, None, plain.project(alternative_forms(plain, one))) for one in selected
+    ]
+    of_forms = weigh_evidence(plain, drop_single_rows([one for one in forms if one is not None])).log_evidence
+    least = float(of_forms.max(initial=-np.inf)) - CAUSE_SET_LOG_BAYES_FACTOR
+    names = name_explained(selected)
+    effects = compute_finite_effects(plain, [one for one in problem.causes if one.name not in names])
+    if max(weigh_causes(plain, effects).values(), default=-np.inf) < least - MAX_REFIT_GAIN:
+        return None
+    test = compute_evidence(plain, problem, names, effects)
     refits = refit_likeliest(problem, selected, test)
     following = make_selected(refits.misfit, form_cause_set(refits.misfit), refits.starts)
     if following.cause == UNKNOWN:
         return None
-    forms = [
-        make_hypothesis(UNKNOWN, None, None, plain.project(alternative_forms(plain, one))) for one in selected
-    ]
-    of_forms = add_candidates([one for one in forms if one is not None], plain, ()).log_evidence
-    least = float(of_forms.max(initial=-np.inf)) - CAUSE_SET_LOG_BAYES_FACTOR
     if following.test.log_evidence_by_cause[following.cause] < least:
         return None
     shape = following.test.best_hypothesis(following.cause)

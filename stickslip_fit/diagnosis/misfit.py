@@ -304,14 +304,23 @@ def drop_single_rows(hypotheses: Sequence[Hypothesis | AR1]) -> list[Hypothesis 
     return [*compress(hypotheses, map(not_, of_known)), *compress(hypotheses, map(and_, is_shared, of_known))]
 
 
-def weigh_evidence(linearized: LinearizedFit, hypotheses: Sequence[Hypothesis | AR1]) -> Misfit:
-    """The evidence of the residuals of a fit for some hypotheses; no p-value (NaN)."""
+def weigh_evidence(
+    linearized: LinearizedFit, hypotheses: Sequence[Hypothesis | AR1], known: Misfit | None = None
+) -> Misfit:
+    """The evidence of the residuals of a fit for some hypotheses; no p-value (NaN).
+
+    That of hypotheses which a `known` test has of the same residuals is not computed again.
+    """
     # A law with as many parameters as rows fits anything; one that leaves nothing has nothing to be tested.
     if not hypotheses or linearized.df < 1 or linearized.fits_exactly:
         return Misfit(linearized.residual, (), np.zeros(0), {}, 1.0, np.zeros(0), basis=linearized.basis)
-    batch = batch_hypotheses(hypotheses, linearized.df)
+    before = {}
+    if known is not None and np.array_equal(known.residual, linearized.residual):
+        before = dict(zip(map(id, known.hypotheses), known.log_evidence.tolist(), strict=True))
+    batch = batch_hypotheses([one for one in hypotheses if id(one) not in before], linearized.df)
+    found = iter(batch.log_evidence(linearized.residual[:, None])[:, 0])
+    own = np.array([before[id(one)] if id(one) in before else next(found) for one in hypotheses])
     causes = [classify_cause(hypothesis) for hypothesis in hypotheses]
-    own = batch.log_evidence(linearized.residual[:, None])[:, 0]
     by_cause = average_by_cause(causes, weigh_hypotheses(hypotheses, causes), own)
     return Misfit(
         linearized.residual, tuple(hypotheses), own, by_cause, np.nan, np.zeros(0), basis=linearized.basis

@@ -48,6 +48,7 @@ from stickslip_fit.diagnosis.extension import (
     make_selected,
     name_explained,
     try_extension,
+    weigh_causes,
 )
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.function_law import follow_function
@@ -380,9 +381,9 @@ def widen_selection(selection: Selection, causes: Sequence[Any], alpha: float) -
     more = [one for one in causes if one.name not in known]
     extension = Extension(problem, selection.fit, tuple(selection.law_causes))
     searched = absorb_unknown(extension, selection.selected)
-    beside = add_candidates(last.hypotheses, searched, compute_finite_effects(searched, more))
+    beside = add_candidates(last, searched, compute_finite_effects(searched, more))
     either = [one for one in causes if one.name not in known - names]
-    alone = add_candidates((), baseline, compute_finite_effects(baseline, either)).log_evidence_by_cause
+    alone = weigh_causes(baseline, compute_finite_effects(baseline, either))
     most = max((value for name, value in alone.items() if name not in known), default=-np.inf)
     left = max((beside.log_evidence_by_cause.get(one.name, -np.inf) for one in more), default=-np.inf)
     enough = MIN_EVIDENCE_SHARE * max(alone.get(name, -np.inf) for name in names)
