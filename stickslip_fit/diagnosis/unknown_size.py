@@ -33,7 +33,7 @@ from stickslip_fit.diagnosis.evidence import STRENGTHS, batch_hypotheses, streng
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength, expect_noise
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, closest_cause, joints_of_laws
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
-from stickslip_fit.diagnosis.lack_of_fit import LackOfFit
+from stickslip_fit.diagnosis.lack_of_fit import UNNAMED_SHARES, LackOfFit
 from stickslip_fit.diagnosis.lagged import find_lagged_column
 from stickslip_fit.diagnosis.linearized import LinearizedFit, rms
 from stickslip_fit.diagnosis.memory import AR1
@@ -158,7 +158,7 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
         lambda rows: plain.project(linearized.unwhiten(rows)),
         len(shape),
     )
-    if law is not None and (lack := LackOfFit.of(linearized, law)):
+    if law is not None and (lack := LackOfFit.of(linearized, law, UNNAMED_SHARES)):
         sizes = lack.add_to(sizes, problem.scale)
     low, middle, high = (float(limit) for limit in np.quantile(sizes, QUANTILES_95))
     error = max((high - low) / (2.0 * Z_95), MIN_LENGTH)
