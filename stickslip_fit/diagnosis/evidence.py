@@ -9,7 +9,7 @@ values of tau.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,12 +20,13 @@ from scipy.sparse import csr_array
 from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis
+from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, DirectionStack, Hypothesis, StackedBlocks
 from stickslip_fit.diagnosis.memory import AR1, log_memory_evidence
 
 STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])  # tau: hyperprior on the norm of an effect, whitened
 WIDE_STRENGTHS = np.geomspace(4.0, 40_000.0, 25)  # of a law's function
 MAX_EXPLAINED = 1.0 - 1e-12  # share of the squared residuals
+MIN_OF_STACK = 0.25  # of the hypotheses of a stack, from which all of it is multiplied at once
 AT_ONCE = 100  # directions whose rows are put in another order
 
 
@@ -141,9 +142,103 @@ class DirectionGroup:
 
 
 def group_directions(
-    hypotheses: Iterable[Hypothesis], dtype: npt.DTypeLike = np.float64
+    hypotheses: Sequence[Hypothesis], dtype: npt.DTypeLike = np.float64
 ) -> tuple[DirectionGroup, ...]:
     """The directions of hypotheses, those on the same rows together; sessions have no row in common."""
+    firsts = np.cumsum([0, *(len(one.prior_share) for one in hypotheses)])
+    stacked, others = find_stacks(hypotheses)
+    of_stacks = (group for own in stacked for group in _group_stack(own, firsts[own.numbers], dtype))
+    return (*of_stacks, *_group_blocks([hypotheses[k] for k in others], firsts[others], dtype))
+
+
+@dataclass(frozen=True, eq=False)
+class StackMembers:
+    """Some of the hypotheses of a stack.
+
+    Attributes
+    ----------
+    stack : DirectionStack
+    numbers, places : array of int, shape (h,)
+        Their positions among all hypotheses, and in the stack.
+    sign : array, shape (n,), or None
+        That of those which have one.
+    is_signed : array of bool, shape (h,)
+    """
+
+    stack: DirectionStack
+    numbers: IntArray
+    places: IntArray
+    sign: Array | None
+    is_signed: BoolArray
+
+    @classmethod
+    def of(cls, stack: DirectionStack, hypotheses: Sequence[Hypothesis], numbers: IntArray) -> StackMembers:
+        """Those at some positions among all hypotheses."""
+        own = [hypotheses[k] for k in numbers]
+        places = [one.blocks.place for one in own if isinstance(one.blocks, StackedBlocks)]
+        sign = next((one.sign for one in own if one.sign is not None), None)
+        is_signed = np.array([one.sign is not None for one in own])
+        return cls(stack, numbers, np.array(places, dtype=np.intp), sign, is_signed)
+
+    def coefficients(self, residuals: Array) -> Array:
+        """Along their directions, (n, k) -> (h, m, k)."""
+        if self.sign is None:
+            return self.stack.coefficients(residuals)[self.places]
+        found = np.empty((len(self.places), self.stack.width, residuals.shape[1]))
+        for is_signed, own in ((False, residuals), (True, self.sign[:, None] * residuals)):
+            some = self.is_signed == is_signed
+            if some.any():
+                found[some] = self.stack.coefficients(own)[self.places[some]]
+        return found
+
+
+def find_stacks(hypotheses: Sequence[Hypothesis]) -> tuple[list[StackMembers], IntArray]:
+    """The stacks of which many of some hypotheses are, and the positions of all others."""
+    stacks: dict[int, DirectionStack] = {}
+    numbers: dict[int, list[int]] = {}
+    others: list[int] = []
+    for number, one in enumerate(hypotheses):
+        if isinstance(one.blocks, StackedBlocks) and not one.one_sided:
+            stacks[id(one.blocks.stack)] = one.blocks.stack
+            numbers.setdefault(id(one.blocks.stack), []).append(number)
+        else:
+            others.append(number)
+    few = [key for key, stack in stacks.items() if len(numbers[key]) < MIN_OF_STACK * len(stack)]
+    others += [number for key in few for number in numbers[key]]
+    found = [
+        StackMembers.of(stack, hypotheses, np.array(numbers[key], dtype=np.intp))
+        for key, stack in stacks.items()
+        if key not in few
+    ]
+    return found, np.array(sorted(others), dtype=np.intp)
+
+
+def _group_stack(members: StackMembers, first: IntArray, dtype: npt.DTypeLike) -> Iterator[DirectionGroup]:
+    """The directions of a stack, session by session; `first`, (h,), are the coefficients they begin with."""
+    for rows, own in zip(members.stack.rows, members.stack.directions, strict=True):
+        (number, width, n_rows), n_positive = own.shape, None
+        directions = own.reshape(-1, n_rows)
+        if members.sign is not None:
+            order = np.argsort(-members.sign[rows], kind="stable")
+            n_positive, directions = int(np.sum(members.sign[rows] > 0)), directions[:, order]
+            rows = np.arange(len(members.sign))[rows][order]
+        inside = np.arange(width)
+        begin = width * (members.places + number * members.is_signed)
+        yield DirectionGroup(
+            rows,
+            directions.astype(dtype),
+            (first[:, None] + inside).ravel(),
+            (begin[:, None] + inside).ravel(),
+            np.full((len(directions), 1), -np.inf, dtype),
+            n_positive,
+        )
+        first = first + width
+
+
+def _group_blocks(
+    hypotheses: Sequence[Hypothesis], firsts: IntArray, dtype: npt.DTypeLike
+) -> tuple[DirectionGroup, ...]:
+    """The blocks of hypotheses whose coefficients begin at `firsts`, those on the same rows together."""
     key_of: dict[int, bytes] = {}
     rows_of: dict[bytes, IntArray | slice] = {}
     sign_of: dict[bytes, Array] = {}
@@ -151,8 +246,8 @@ def group_directions(
     uses: dict[bytes, list[tuple[int, int, int, bool]]] = {}
     least: dict[bytes, list[float]] = {}
     begins: dict[int, int] = {}  # of each block among the directions of its group
-    first, sizes = 0, Counter[bytes]()
-    for hypothesis in hypotheses:
+    sizes = Counter[bytes]()
+    for hypothesis, first in zip(hypotheses, firsts.tolist(), strict=True):
         for rows, block in hypothesis.blocks:
             if id(rows) not in key_of:
                 key = key_of[id(rows)] = b"" if isinstance(rows, slice) else rows.tobytes()
@@ -250,21 +345,26 @@ class HypothesisBatch:
 
     def _coefficients(self, residuals: Array) -> Array:
         """Along each direction, one hypothesis after the other, (n, k) -> (m, k)."""
+        sizes = self._signal[1]
+        firsts, found = np.cumsum(sizes) - sizes, np.empty((int(sizes.sum()), residuals.shape[1]))
+        stacked, others = find_stacks(self.subspaces)
+        for own in stacked:
+            found[firsts[own.numbers, None] + np.arange(own.stack.width)] = own.coefficients(residuals)
         inside: dict[tuple[int, bool], Array] = {}
         known: dict[tuple[int, bool], Array] = {}
-        along = [residuals[:0]]
-        for one in self.subspaces:
+        for number in others.tolist():
+            one, first = self.subspaces[number], int(firsts[number])
             is_signed = one.sign is not None
             for rows, block in one.blocks:
                 if (key := (id(block), is_signed)) not in known:
                     if (place := (id(rows), is_signed)) not in inside:
-                        own = residuals[rows]
-                        inside[place] = own if one.sign is None else own * one.sign[rows, None]
+                        here = residuals[rows]
+                        inside[place] = here if one.sign is None else here * one.sign[rows, None]
                     known[key] = block.T @ inside[place]
                     if one.one_sided:
                         np.maximum(known[key], 0.0, out=known[key])
-                along.append(known[key])
-        return np.concatenate(along)
+                found[first : (first := first + block.shape[1])] = known[key]
+        return found
 
     @cached_property
     def _grouped(self) -> tuple[tuple[DirectionGroup, ...], csr_array]:

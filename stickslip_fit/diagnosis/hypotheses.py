@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,68 @@ MAX_MISSING = 3  # samples in a row, as where a value is set aside, before noise
 SHRINK_FACTOR = 20.0  # on the size of a trial by which a joint would stall
 
 
+type Block = tuple[IntArray | slice, Array]
+"""Directions, shape (s, m), and the rows outside of which they are zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionStack:
+    """The directions of P hypotheses that have equally many of them in the same rows, session by session.
+
+    Attributes
+    ----------
+    rows : tuple of array of int, shape (s,), or slice
+        Of each session.
+    directions : tuple of array, shape (P, m, s)
+        Of each session.
+    """
+
+    rows: tuple[IntArray | slice, ...]
+    directions: tuple[Array, ...]
+
+    def __len__(self) -> int:
+        return len(self.directions[0])
+
+    @property
+    def width(self) -> int:
+        """Number of directions of each hypothesis."""
+        return sum(own.shape[1] for own in self.directions)
+
+    def coefficients(self, residuals: Array) -> Array:
+        """Along each direction, (n, k) -> (P, m, k)."""
+        found, first = np.empty((len(self), self.width, residuals.shape[1])), 0
+        for rows, own in zip(self.rows, self.directions, strict=True):
+            last = first + own.shape[1]
+            along = own.reshape(-1, own.shape[2]) @ residuals[rows]
+            found[:, first:last] = along.reshape(len(own), own.shape[1], -1)
+            first = last
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class StackedBlocks(Sequence[Block]):
+    """The blocks of one hypothesis of a stack, each made when it is asked for.
+
+    Thousands of waves with functions of dozens of sessions have a hundred thousand of them.
+    """
+
+    stack: DirectionStack
+    place: int
+
+    def __len__(self) -> int:
+        return len(self.stack.rows)
+
+    @overload
+    def __getitem__(self, index: int) -> Block: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Block]: ...
+    def __getitem__(self, index: int | slice) -> Block | Sequence[Block]:
+        """The block of a session."""
+        if isinstance(index, slice):
+            return tuple(self)[index]
+        return self.stack.rows[index], self.stack.directions[index][self.place].T
+
+
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """One shape that a cause's effect may have, of unknown size.
@@ -51,7 +113,7 @@ class Hypothesis:
         Of the cause's parameters, where it has one direction only.
     n : int
         Number of rows.
-    blocks : tuple of (array of int, shape (s,), or slice; array, shape (s, m'))
+    blocks : sequence of (array of int, shape (s,), or slice; array, shape (s, m'))
         Directions, orthogonal to the calibration but for `shared`, and the rows outside of which they are
         zero: one block of all rows (a slice), or one for each session.
     prior_share : array, shape (m,)
@@ -72,7 +134,7 @@ class Hypothesis:
     version: Any
     values: Array | None
     n: int
-    blocks: tuple[tuple[IntArray | slice, Array], ...]
+    blocks: Sequence[Block]
     prior_share: Array
     length: float
     one_sided: bool = False
@@ -322,18 +384,19 @@ def build_per_session_hypotheses(
         except np.linalg.LinAlgError:  # of one of them: all are left out
             return []
         scaled = right / np.sqrt(np.maximum(variance, EFFECT_TOL**2))[:, None, :]
-        # Column by column in memory, as `group_directions` copies it.
-        directions.append((scaled.transpose(0, 2, 1) @ own).transpose(0, 2, 1))
+        directions.append(scaled.transpose(0, 2, 1) @ own)
         variances.append(np.maximum(variance, 0.0))
     variance = np.stack(variances, axis=1)
     total = variance.sum(axis=(1, 2))
     kept = variance > VARIANCE_TOL * total[:, None, None]
+    stack = DirectionStack(tuple(rows for rows, _ in parts), tuple(directions))
     whole, hypotheses = kept.all(axis=(1, 2)), []
     for k in np.flatnonzero(total >= EFFECT_TOL**2).tolist():
-        blocks = tuple(
-            (rows, own[k] if whole[k] else own[k][:, inside])
-            for (rows, _), own, inside in zip(parts, directions, kept[k], strict=True)
-        )
+        blocks: Sequence[Block] = StackedBlocks(stack, k)
+        if not whole[k]:
+            blocks = tuple(
+                (rows, own[:, inside]) for (rows, own), inside in zip(blocks, kept[k], strict=True)
+            )
         share, length = variance[k][kept[k]] / total[k], float(np.sqrt(total[k]))
         hypotheses.append(Hypothesis(names[k], versions[k], None, n, blocks, share, length, shared=shared))
     return hypotheses

@@ -7,8 +7,8 @@ of squares, as in the analysis of variance of a regression with replicates (G. E
 Empirical Model-Building and Response Surfaces, 1987, section 3.12). Half of the prior is on a law that lacks
 nothing, half on one that lacks a share of the effect: where a form is wrong, what it misses grows with the
 effect. Where nothing was repeated, as of an effect in time, that is all that is known. A form that was found
-for what has no name may lack more than a cause's: of 111 effects from outside the library of causes, far above
-the noise, a tenth were 1.35 times as large as what was found of them, a twentieth 1.5 times
+for what has no name may lack more than a cause's: of 111 effects from outside the library, far above the
+noise, a tenth were 1.35 times as large as what was found of them, a twentieth 1.5 times
 (`benchmarks/README.md`).
 """
 

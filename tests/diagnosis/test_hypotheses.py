@@ -10,13 +10,14 @@ import pytest
 from stickslip_fit.causes import library
 from stickslip_fit.diagnosis.alternatives import build_unstructured_alternatives
 from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.evidence import STRENGTHS, batch_hypotheses
 from stickslip_fit.diagnosis.extension import (
     alternative_forms,
     compute_evidence,
     extend_problem,
     make_selected,
 )
-from stickslip_fit.diagnosis.hypotheses import Hypothesis
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, StackedBlocks
 from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
     UNKNOWN_WEIGHT,
@@ -84,6 +85,35 @@ def test_directions_have_length_1_and_none_is_of_the_calibration(design):
         assert np.abs(linearized.basis.T @ one.directions).max() < 1e-6, one.cause
         if len(one.blocks) == 1:
             assert np.abs(products - np.eye(len(products))).max() < 1e-6, one.cause
+
+
+@pytest.mark.parametrize("part", [1, 7])
+def test_the_evidence_of_many_waves_at_once_is_that_of_each(part):
+    """Alike and opposite by direction, of each session; all of them, and a few of each stack."""
+    rng, problem = np.random.default_rng(0), problem_from_log(read_hidden(hide("many", seed=3)))[0]
+    linearized = problem.linearize()
+    every = [one for one in problem.alternatives(linearized) if isinstance(one, Hypothesis)]
+    waves = [one for one in every if isinstance(one.blocks, StackedBlocks)][::part]
+    assert {one.sign is None for one in waves} == {True, False}
+    assert max(len(one.blocks) for one in waves) > 2
+    residuals = linearized.project(rng.standard_normal((len(linearized), 3)))
+    batch, weight = batch_hypotheses(waves, linearized.df), rng.standard_normal(len(waves))
+    evidence = batch.log_evidence(residuals)
+    alone = [
+        find_evidence(one.apply_sign().directions, one.prior_share, residuals, linearized.df) for one in waves
+    ]
+    np.testing.assert_allclose(evidence, alone, rtol=1e-9, atol=1e-9)
+    together = np.logaddexp.reduce(np.array(alone) + weight[:, None])
+    np.testing.assert_allclose(batch.log_mean_evidence(residuals, weight), together, atol=1e-3)
+
+
+def find_evidence(directions, share, residuals, df):
+    """Zellner's Bayes factor, averaged over strengths."""
+    along, squares = directions.T @ residuals, np.sum(residuals**2, axis=0)
+    signal = np.square(STRENGTHS)[:, None] * share
+    left = 1 - (signal / (1 + signal)) @ along**2 / squares
+    log = -0.5 * df * np.log(left) - 0.5 * np.log1p(signal).sum(axis=1)[:, None]
+    return np.logaddexp.reduce(log) - np.log(len(STRENGTHS))
 
 
 def test_a_jump_in_one_session_is_no_uneven_noise():

@@ -8,7 +8,7 @@ import pytest
 from scipy.sparse import csr_array
 
 from stickslip_fit.diagnosis.effect_interval import LawEffect
-from stickslip_fit.diagnosis.lack_of_fit import SHARES, LackOfFit
+from stickslip_fit.diagnosis.lack_of_fit import SHARES, UNNAMED_SHARES, LackOfFit
 from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit
 from stickslip_fit.diagnosis.row_table import RowTable
 
@@ -86,13 +86,17 @@ def test_sums_of_squares_are_those_of_an_analysis_of_variance(linearized):
     assert (lack.df_between, lack.df_within) == (CELLS, N - CELLS)
 
 
+@pytest.mark.parametrize("shares", [SHARES, UNNAMED_SHARES])
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_what_an_effect_of_the_order_of_replicates_lacks_stays_open(linearized, share):
+def test_what_an_effect_of_the_order_of_replicates_lacks_stays_open(linearized, share, shares):
+    """As much as was found, where nothing has a name, so that the size is open by 1.4 times."""
     of_order = effect(np.tile(np.linspace(-1.0, 1.0, REPLICATES), CELLS))
-    lack = LackOfFit.of(linearized(residuals(share, np.random.default_rng(2))), of_order)
+    lack = LackOfFit.of(linearized(residuals(share, np.random.default_rng(2))), of_order, shares)
     squares = lack.draw_squares(4000, np.random.default_rng(0))
     assert np.mean(squares == 0) == pytest.approx(0.5, abs=0.03)
-    assert np.mean(squares) == pytest.approx(STRENGTH**2 * np.mean(SHARES**2) / 2, rel=0.1)
+    assert np.mean(squares) == pytest.approx(STRENGTH**2 * np.mean(np.square(shares)) / 2, rel=0.1)
+    largest = np.quantile(np.sqrt(STRENGTH**2 + squares), 0.975) / STRENGTH
+    assert largest == pytest.approx(np.hypot(1.0, shares[-1]), rel=0.02)
 
 
 def test_a_table_without_configurations_is_not_asked(linearized):
