@@ -1,15 +1,16 @@
 """How much a law may still lack, in no form that the alternatives have: what replicates tell from noise.
 
 A term or smooth function for unknown structure only comes near it, and so does a cause whose effect is far
-above the noise and has not quite the form that the law gives it. What is left varies between configurations,
-sessions, directions and values of the effect; noise varies within them, too. So the residuals have two sums
-of squares, as in the analysis of variance of a regression with replicates (G. E. P. Box and N. R. Draper,
-Empirical Model-Building and Response Surfaces, 1987, section 3.12). Half of the prior is on a law that lacks
-nothing, half on one that lacks a share of the effect: where a form is wrong, what it misses grows with the
-effect. Where nothing was repeated, as of an effect in time, that is all that is known. A form that was found
-for what has no name may lack more than a cause's: of 111 effects from outside the library, far above the
-noise, a tenth were 1.35 times as large as what was found of them, a twentieth 1.5 times
-(`benchmarks/README.md`).
+above the noise and has not quite the form that the law gives it. Of an effect that is the same in replicates,
+what is left varies between configurations, sessions and directions; noise varies within them, too. So the
+residuals have two sums of squares, as in the analysis of variance of a regression with replicates (G. E. P.
+Box and N. R. Draper, Empirical Model-Building and Response Surfaces, 1987, section 3.12). Half of the prior
+is on a law that lacks nothing, half on one that lacks a share of the effect: where a form is wrong, what it
+misses grows with the effect. Where replicates are none, as of an effect in time, that is all that is known.
+
+A form that was found for what has no name may lack more than a cause's: of 111 effects from outside the
+library, far above the noise, a tenth were 1.35 times as large as what was found of them, a twentieth 1.5
+times (`benchmarks/README.md`).
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ from scipy.special import softmax
 
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.effect_interval import MIN_LENGTH, LawEffect
-from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.linearized import LinearizedFit, rms
 from stickslip_fit.logs.log import number_configurations
 
 # Of the norm of an effect, what a law that comes near it lacks: of a cause, and of what has no name.
 SHARES, UNNAMED_SHARES = (0.125, 0.25, 0.5), (0.25, 0.5, 1.0)
-SAME_EFFECT = 0.1  # of its rms, by which an effect may differ between replicates
+SAME_EFFECT = 0.2  # of its rms, by which an effect may differ between replicates, rms
 GAUSSIAN_KURTOSIS = 3.0
 
 
@@ -77,10 +78,13 @@ class LackOfFit:
         ):
             return None
         session, _ = pd.factorize(rows["session"].astype(object))
-        value = np.round(law.changes / (SAME_EFFECT * max(law.rms, MIN_LENGTH)))
-        keys = np.column_stack([session, number_configurations(rows), linearized.direction_sign, value])
+        keys = np.column_stack([session, number_configurations(rows), linearized.direction_sign])
         _, cell = np.unique(keys, axis=0, return_inverse=True)
         size, cell = np.bincount(cell.ravel()), cell.ravel()
+        within_cells = law.changes - (np.bincount(cell, law.changes) / size)[cell]
+        if rms(within_cells) > SAME_EFFECT * max(law.rms, MIN_LENGTH):
+            # What the law lacks of an effect that follows time, or what was before, differs there, too.
+            size, cell = np.ones(len(rows), dtype=np.intp), np.arange(len(rows))
         df_within, df_between = len(rows) - len(size), linearized.df - len(rows) + len(size)
         if df_between < 1:
             return None

@@ -158,15 +158,19 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
         lambda rows: plain.project(linearized.unwhiten(rows)),
         len(shape),
     )
-    if law is not None and (lack := LackOfFit.of(linearized, law, UNNAMED_SHARES)):
-        sizes = lack.add_to(sizes, problem.scale)
     low, middle, high = (float(limit) for limit in np.quantile(sizes, QUANTILES_95))
     error = max((high - low) / (2.0 * Z_95), MIN_LENGTH)
-    if middle / error > MAX_CONDITIONAL_STRENGTH:
-        return Interval(middle, low, high)
-    threshold = detection_threshold(selected, linearized.df, alpha)
-    threshold *= rms(linearized.unwhiten(shape)) / max(float(np.linalg.norm(shape)), MIN_LENGTH)
-    return strength_interval(middle / error, 1, threshold / error).times(error)
+    size = Interval(middle, low, high)
+    if middle / error <= MAX_CONDITIONAL_STRENGTH:
+        threshold = detection_threshold(selected, linearized.df, alpha)
+        threshold *= rms(linearized.unwhiten(shape)) / max(float(np.linalg.norm(shape)), MIN_LENGTH)
+        size = strength_interval(middle / error, 1, threshold / error).times(error)
+    lack = None if law is None else LackOfFit.of(linearized, law, UNNAMED_SHARES)
+    if lack is None:
+        return size
+    # What is lacking only adds.
+    most = np.quantile(lack.add_to(sizes, problem.scale), QUANTILES_95[-1])
+    return replace(size, high=max(size.high, float(most)))
 
 
 def _alternatives(misfit: Misfit, cause: str = UNKNOWN) -> list[Hypothesis]:
