@@ -158,7 +158,8 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
         lambda rows: plain.project(linearized.unwhiten(rows)),
         len(shape),
     )
-    low, middle, high = (float(limit) for limit in np.quantile(sizes, QUANTILES_95))
+    limits = np.quantile(sizes, QUANTILES_95)
+    low, middle, high = limits.tolist()
     error = max((high - low) / (2.0 * Z_95), MIN_LENGTH)
     size = Interval(middle, low, high)
     if middle / error <= MAX_CONDITIONAL_STRENGTH:
@@ -168,9 +169,10 @@ def _size_structure(selection: Selection, selected: SelectedCause, shape: Array,
     lack = None if law is None else LackOfFit.of(linearized, law, UNNAMED_SHARES)
     if lack is None:
         return size
-    # What is lacking only adds.
-    most = np.quantile(lack.add_to(sizes, problem.scale), QUANTILES_95[-1])
-    return replace(size, high=max(size.high, float(most)))
+    # What is lacking only adds, so that the upper end moves most.
+    larger = np.quantile(lack.add_to(sizes, problem.scale), QUANTILES_95) / np.maximum(limits, MIN_LENGTH)
+    low, middle, high = np.multiply([size.low, size.estimate, size.high], larger).tolist()
+    return Interval(middle, low, high)
 
 
 def _alternatives(misfit: Misfit, cause: str = UNKNOWN) -> list[Hypothesis]:
