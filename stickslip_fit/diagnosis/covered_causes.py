@@ -5,7 +5,7 @@ may not be the true one (`extension.alternative_forms`). A second effect that re
 show: of a body that falls in air, the camera's distortion bends the curve much as another kind of drag does.
 So where such forms take up more of the residuals than of noise, each cause is weighed against them. The
 other way round, a function without a name may be all but covered by the causes: it would only undo what they
-say.
+say. A cause that is found beside such a function, but whose size the two together leave open, is not named.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import fdtrc
+from scipy.special import chdtri, fdtrc
 
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR, form_cause_set
@@ -37,6 +37,7 @@ MIN_COVERED = 0.5  # of a cause's effect; of any other the test without the form
 # Share of a function's square that it adds to a law whose causes take back the rest. One with less has a
 # variance inflation factor of 10, which counts as collinear (D. W. Marquardt, Technometrics 12:591, 1970).
 MIN_ADDED = 0.1
+CREDIBLE = 0.95  # of the interval of a cause's size, which has to exclude that it is absent
 
 
 def find_covered(extension: Extension, level: float) -> tuple[SelectedCause, Extension] | None:
@@ -98,6 +99,22 @@ def is_collinear(before: Extension, after: Extension) -> bool:
     function = slopes[:, len(fit.values) - number :] @ fit.values[len(fit.values) - number :]
     added = linearized.whiten(before.fit.residual - fit.residual)
     return float(added @ added) < MIN_ADDED * float(function @ function)
+
+
+def is_open(after: Extension) -> bool:
+    """Whether the last cause in a law may be of either sign or absent, beside a function without a name.
+
+    The function, which bends as the data ask, then does as well what the cause would.
+    """
+    last = after.causes[-1]
+    if last.cause == UNKNOWN or all(one.cause != UNKNOWN for one in after.causes):
+        return False
+    number, version = len(last.start), last.version
+    sizes = slice(number) if version.combine_trials else slice(1)
+    values = (after.fit.values[-number:] - np.array(version.null_values))[sizes]
+    covariance = after.fit.covariance[-number:, -number:][sizes, sizes]
+    wald = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
+    return wald < float(chdtri(len(values), 1.0 - CREDIBLE))
 
 
 def _test_forms(plain: LinearizedFit, without_forms: LinearizedFit) -> float:

@@ -112,7 +112,8 @@ class SelectedCause:
         The two describe one session about as well: only what comes back in a replicate is no noise.
         """
         of_time = getattr(self.version, "carriers", ()) == ("session_seconds",)
-        if self.cause != UNKNOWN or self.misfit is None or not (of_time and self.version.sessions):
+        of_sessions = of_time and getattr(self.version, "sessions", ())  # which a short expression has not
+        if self.cause != UNKNOWN or self.misfit is None or not of_sessions:
             return False
         evidence = self.misfit.log_evidence
         of_memory = [

@@ -33,7 +33,7 @@ from stickslip_fit.diagnosis.combinations import (
     name_combinations,
     revise_causes,
 )
-from stickslip_fit.diagnosis.covered_causes import find_covered, is_collinear
+from stickslip_fit.diagnosis.covered_causes import find_covered, is_collinear, is_open
 from stickslip_fit.diagnosis.extension import (
     OUTLIER_ALPHA_SHARE,
     Extension,
@@ -286,6 +286,8 @@ class _ForwardSelection:
             return False
         if self.selected and chosen[-1].cause != UNKNOWN:
             chosen, extension = revise_causes(extension, chosen, self.level, self.rng)
+            if is_open(extension):
+                return False
         if _ends_search(chosen[-1], len(problem)):
             # The tests that would follow carry-over are for independent noise.
             if self.selected and not isinstance(chosen[-1].version, CarryOverTerm):

@@ -7,16 +7,21 @@ file's own code, and every traverse its own ends.
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.causes.proposed import NestedTerm
+from stickslip_fit.causes import library
+from stickslip_fit.causes.proposed import NestedTerm, ProposedTerm
 from stickslip_fit.diagnosis import Diagnosis, diagnose
+from stickslip_fit.diagnosis.cause_set import CauseSet
+from stickslip_fit.diagnosis.covered_causes import is_open
+from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Gain
 from stickslip_fit.diagnosis.fold_selection import prepare_looks
-from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
 from stickslip_fit.diagnosis.withdrawal import withdraw_causes
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
@@ -186,3 +191,28 @@ def test_structure_beside_another_effect_is_not_the_cause_nearest_to_it(
     hidden = hide(design, (other, "unknown:angle"), (strength, 25.0), seed=seed, forms=forms)
     found = {one.cause for one in diagnose(read_hidden(hidden), gain=False).findings}
     assert found == named | {UNKNOWN}
+
+
+@pytest.mark.parametrize(("size", "is_open_then"), [(0.0, True), (1.1, True), (-1.1, True), (5.0, False)])
+def test_a_cause_whose_size_a_function_leaves_open_is_not_named(size, is_open_then):
+    """`size` in its standard errors, 0.01; a time constant, which is never near 0, has no say."""
+    function = replace(CHOSEN, version=ProposedTerm((("x", "load", 0.0, 1.0),)), start=np.zeros(1))
+    warm_up = next(one for one in library() if one.name == "thermal-warm-up")
+    cause = replace(CHOSEN, cause=warm_up.name, version=warm_up, start=np.zeros(2))
+    values = np.array([0.3, *warm_up.null_values])
+    values[1] += 0.01 * size
+    values[2] = 3600.0
+    fit = SimpleNamespace(values=values, covariance=np.diag([0.1, 0.01, 60.0]) ** 2)
+    assert is_open(SimpleNamespace(causes=(function, cause), fit=fit)) == is_open_then
+    assert not is_open(SimpleNamespace(causes=(cause,), fit=fit))
+    assert not is_open(SimpleNamespace(causes=(cause, function), fit=fit))
+
+
+def test_a_short_expression_in_time_is_not_taken_for_a_function_of_each_session():
+    """Such a function may be noise with memory; an expression that all sessions share is none."""
+    term = ProposedTerm((("x^2", "session_seconds", 0.0, 3600.0),))
+    misfit = Misfit(np.zeros(2), (), np.zeros(0), {}, 1.0, np.zeros(0))
+    assert not replace(CHOSEN, version=term, misfit=misfit).resembles_memory
+
+
+CHOSEN = SelectedCause(UNKNOWN, None, np.zeros(0), CauseSet(UNKNOWN, (), {}), None, 0.001)
