@@ -15,7 +15,7 @@ times (`benchmarks/README.md`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,11 +26,13 @@ from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.effect_interval import MIN_LENGTH, LawEffect
 from stickslip_fit.diagnosis.linearized import LinearizedFit, rms
 from stickslip_fit.logs.log import number_configurations
+from stickslip_fit.units import Z_95, Interval
 
 # Of the norm of an effect, what a law that comes near it lacks: of a cause, and of what has no name.
 SHARES, UNNAMED_SHARES = (0.125, 0.25, 0.5), (0.25, 0.5, 1.0)
 SAME_EFFECT = 0.2  # of its rms, by which an effect may differ between replicates, rms
 GAUSSIAN_KURTOSIS = 3.0
+N_DRAWS = 4000
 
 
 @dataclass(frozen=True)
@@ -106,8 +108,7 @@ class LackOfFit:
         left = self.between / (1.0 + self.signal) + self.within
         log_evidence = -0.5 * (self.df_between * np.log1p(self.signal) + df * np.log(left))
         log_evidence *= (GAUSSIAN_KURTOSIS - 1.0) / (self.kurtosis - 1.0)
-        prior = np.array([0.5, *(0.5 / len(self.shares) for _ in self.shares)])
-        return np.asarray(softmax(log_evidence + np.log(prior)))
+        return np.asarray(softmax(log_evidence + np.log(_prior(self.shares))))
 
     def add_to(self, sizes: Array, noise: Array) -> Array:
         """Draws of an effect's rms with what the law lacks; `noise`, (n,), is the sd of each response."""
@@ -120,3 +121,22 @@ class LackOfFit:
         variance = (self.between * (1.0 - kept) + self.within) / (self.df_between + self.df_within)
         squares = kept**2 * self.between / variance + kept * self.df_between
         return squares[rng.choice(len(squares), number, p=self.probabilities)]
+
+
+def _prior(shares: tuple[float, ...]) -> Array:
+    """Of a law that lacks nothing, and of each share of the effect that it may lack."""
+    return np.array([0.5, *(0.5 / len(shares) for _ in shares)])
+
+
+def widen(size: Interval) -> Interval:
+    """The size of what has no name, its upper end with what its form may lack, of which nothing tells.
+
+    Examples
+    --------
+    >>> round(widen(Interval(0.20, 0.18, 0.22)).high, 2)
+    0.29
+    """
+    rng, error = np.random.default_rng(0), (size.high - size.low) / (2.0 * Z_95)
+    shares = rng.choice([0.0, *UNNAMED_SHARES], N_DRAWS, p=_prior(UNNAMED_SHARES))
+    sizes = (size.estimate + error * rng.standard_normal(N_DRAWS)) * np.hypot(1.0, shares)
+    return replace(size, high=max(size.high, float(np.quantile(sizes, 0.975))))

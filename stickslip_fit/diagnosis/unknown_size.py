@@ -33,7 +33,7 @@ from stickslip_fit.diagnosis.evidence import STRENGTHS, batch_hypotheses, streng
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength, expect_noise
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, closest_cause, joints_of_laws
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
-from stickslip_fit.diagnosis.lack_of_fit import UNNAMED_SHARES, LackOfFit
+from stickslip_fit.diagnosis.lack_of_fit import UNNAMED_SHARES, LackOfFit, widen
 from stickslip_fit.diagnosis.lagged import find_lagged_column
 from stickslip_fit.diagnosis.linearized import LinearizedFit, rms
 from stickslip_fit.diagnosis.memory import AR1
@@ -59,6 +59,7 @@ def size_unknown(selection: Selection, selected: SelectedCause, alpha: float) ->
     shape = _shrink_structure(best, residual)
     if isinstance(best, AR1) and (selected.version is None or best.sequences.onto is None):
         effect = estimate_ar1_effect(selected.tested or linearized, best, selection.problem.linearize())
+        effect = effect if selected.version is None else widen(effect)
     else:
         effect = _size_structure(selection, replace(selected, cause=strongest), shape, alpha)
     size = np.abs(shape)
