@@ -134,7 +134,7 @@ def widen(size: Interval) -> Interval:
     Examples
     --------
     >>> round(widen(Interval(0.20, 0.18, 0.22)).high, 2)
-    0.29
+    0.3
     """
     rng, error = np.random.default_rng(0), (size.high - size.low) / (2.0 * Z_95)
     shares = rng.choice([0.0, *UNNAMED_SHARES], N_DRAWS, p=_prior(UNNAMED_SHARES))
