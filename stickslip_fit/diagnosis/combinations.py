@@ -349,7 +349,7 @@ def _next_cause(
 def _evidence_of_causes(
     extension: Extension, selected: Sequence[SelectedCause], without: Sequence[str]
 ) -> float:
-    """The evidence of the likeliest cause in that test; functions of its columns change it little."""
+    """That of the likeliest cause in that test, by its trials alone; functions of columns change it little."""
     linearized, names = absorb_unknown(extension, selected), {*name_explained(selected), *without}
     causes = [one for one in extension.problem.causes if one.name not in names]
     evidence = weigh_causes(linearized, compute_finite_effects(linearized, causes))
@@ -405,13 +405,15 @@ def find_exchange(
         if of_rival is None:
             continue
         alone = advantage(of_rival, extension)
-        least = to_beat - PAIR_LOG_PENALTY - alone if problem.autocorrelation is None else -np.inf
-        if _evidence_of_causes(of_rival, trial, [current.cause]) < least - CAUSE_SET_LOG_BAYES_FACTOR:
-            continue
+        least = -np.inf
+        if problem.autocorrelation is None:  # where the noise stays, a fit adds little to linearized effects
+            least = to_beat - PAIR_LOG_PENALTY - alone
+            if _evidence_of_causes(of_rival, trial, [current.cause]) < least - CAUSE_SET_LOG_BAYES_FACTOR:
+                continue
         left, _, unknown = _next_cause(of_rival, trial, [current.cause])
         for second in _likely_seconds(left, unknown, problem):
             if left.log_evidence_by_cause[second] < least:
-                continue  # where the noise stays, a fit adds little to what the linearized effect says
+                continue
             two = make_selected(left, form_cause_set(left, second))
             if (getattr(two.version, "amplitude", None) or 0.0) > two.version.max_trial_factor:
                 continue  # a function of implausible size that only makes up for the rival

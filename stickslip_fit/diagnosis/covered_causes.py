@@ -61,8 +61,11 @@ def find_covered(extension: Extension, level: float) -> tuple[SelectedCause, Ext
     least = float(of_forms.max(initial=-np.inf)) - CAUSE_SET_LOG_BAYES_FACTOR
     names = name_explained(selected)
     effects = compute_finite_effects(plain, [one for one in problem.causes if one.name not in names])
-    if max(weigh_causes(plain, effects).values(), default=-np.inf) < least - MAX_REFIT_GAIN:
-        return None
+    # In a sampled signal a refit changes the noise, and with it the evidence by any amount.
+    if problem.autocorrelation is None:
+        of_causes = weigh_causes(plain, effects).values()
+        if max(of_causes, default=-np.inf) < least - MAX_REFIT_GAIN:
+            return None
     test = compute_evidence(plain, problem, names, effects)
     refits = refit_likeliest(problem, selected, test)
     following = make_selected(refits.misfit, form_cause_set(refits.misfit), refits.starts)
