@@ -349,7 +349,7 @@ def _next_cause(
 def _evidence_of_causes(
     extension: Extension, selected: Sequence[SelectedCause], without: Sequence[str]
 ) -> float:
-    """That of the likeliest cause in that test, by its trials alone; functions of columns change it little."""
+    """The evidence of the likeliest cause there, by its trials; functions of columns change it little."""
     linearized, names = absorb_unknown(extension, selected), {*name_explained(selected), *without}
     causes = [one for one in extension.problem.causes if one.name not in names]
     evidence = weigh_causes(linearized, compute_finite_effects(linearized, causes))
