@@ -162,7 +162,7 @@ def fold_phase(carrier: str, rows: pd.DataFrame, shape: Array) -> tuple[str, Arr
         cosine, sine = np.linalg.lstsq(waves[subset], shape[subset], rcond=None)[0]
         offset[subset] = np.arctan2(sine, cosine)
     phase = np.mod(angle - offset, 2 * np.pi) / (2 * np.pi)
-    return f"{'minutes' if unit == 'min' else unit} into a period of {period:g} {unit}", phase * period
+    return f"{'minutes' if unit == 'min' else unit} into a period of {period:g}", phase * period
 
 
 SESSION_GAP = 0.04  # of all hours, between two sessions drawn one after the other

@@ -345,7 +345,7 @@ def test_a_wave_of_one_joint_is_found_in_what_seems_its_noise():
     found = diagnose_with(pump_of_one_joint, "session", (2, 3))
     (finding,) = found.findings
     assert (finding.joints, finding.carrier) == ((2,), "period of 13.0 min, joint 2")
-    assert "minutes into a period of 13 min" in {axis.get_xlabel() for axis in found.plot().flat}
+    assert "minutes into a period of 13" in {axis.get_xlabel() for axis in found.plot().flat}
 
 
 def test_recent_use_is_told_as_warmth():
