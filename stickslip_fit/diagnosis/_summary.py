@@ -128,8 +128,9 @@ def _findings_tables(diagnosis: Diagnosis, words: Words) -> list[Table]:
     ]
     beside = " in the law with all others" * (len(diagnosis.findings) > 1)
     unnamed = [one for one in diagnosis.findings if one.cause == UNKNOWN and one.version is not None]
-    is_open = bool(unnamed) and diagnosis.table is None
-    lacking = "Of what has no name, the interval's upper end has what its form may lack, too. " * is_open
+    lacking = ""
+    if unnamed and diagnosis.table is None:
+        lacking = "Of what has no name, the interval's upper end has what its form may lack, too. "
     note = (
         f"Effect: rms over all {words.info.row}s of what the cause does to {words.info.response}{beside}, "
         f"beyond what the law's own parameters absorb. {lacking}p: the chance of anything as far off, "

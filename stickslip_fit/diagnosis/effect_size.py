@@ -32,13 +32,13 @@ from stickslip_fit.diagnosis.effect_interval import (
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Finding, joints_of_laws
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, acts_on
-from stickslip_fit.diagnosis.lack_of_fit import LackOfFit
+from stickslip_fit.diagnosis.lack_of_fit import N_DRAWS, LackOfFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import Selection, predict_departures
 from stickslip_fit.diagnosis.separability import is_distinguishable
 from stickslip_fit.diagnosis.travel_profile import find_travel_profiles
-from stickslip_fit.diagnosis.unknown_size import N_DRAWS, size_unknown
+from stickslip_fit.diagnosis.unknown_size import size_unknown
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.units import Z_95, Interval
 

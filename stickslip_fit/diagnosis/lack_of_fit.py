@@ -23,7 +23,7 @@ import pandas as pd
 from scipy.special import softmax
 
 from stickslip_fit._typing import Array
-from stickslip_fit.diagnosis.effect_interval import MIN_LENGTH, LawEffect
+from stickslip_fit.diagnosis.effect_interval import MIN_LENGTH, QUANTILES_95, LawEffect
 from stickslip_fit.diagnosis.linearized import LinearizedFit, rms
 from stickslip_fit.logs.log import number_configurations
 from stickslip_fit.units import Z_95, Interval
@@ -32,7 +32,7 @@ from stickslip_fit.units import Z_95, Interval
 SHARES, UNNAMED_SHARES = (0.125, 0.25, 0.5), (0.25, 0.5, 1.0)
 SAME_EFFECT = 0.2  # of its rms, by which an effect may differ between replicates, rms
 GAUSSIAN_KURTOSIS = 3.0
-N_DRAWS = 4000
+N_DRAWS = 2000  # of the posterior distribution of a size
 
 
 @dataclass(frozen=True)
@@ -139,4 +139,4 @@ def widen(size: Interval) -> Interval:
     rng, error = np.random.default_rng(0), (size.high - size.low) / (2.0 * Z_95)
     shares = rng.choice([0.0, *UNNAMED_SHARES], N_DRAWS, p=_prior(UNNAMED_SHARES))
     sizes = (size.estimate + error * rng.standard_normal(N_DRAWS)) * np.hypot(1.0, shares)
-    return replace(size, high=max(size.high, float(np.quantile(sizes, 0.975))))
+    return replace(size, high=max(size.high, float(np.quantile(sizes, QUANTILES_95[-1]))))

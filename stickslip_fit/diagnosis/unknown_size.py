@@ -33,7 +33,7 @@ from stickslip_fit.diagnosis.evidence import STRENGTHS, batch_hypotheses, streng
 from stickslip_fit.diagnosis.extension import SelectedCause, estimate_strength, expect_noise
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, Finding, closest_cause, joints_of_laws
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
-from stickslip_fit.diagnosis.lack_of_fit import UNNAMED_SHARES, LackOfFit, widen
+from stickslip_fit.diagnosis.lack_of_fit import N_DRAWS, UNNAMED_SHARES, LackOfFit, widen
 from stickslip_fit.diagnosis.lagged import find_lagged_column
 from stickslip_fit.diagnosis.linearized import LinearizedFit, rms
 from stickslip_fit.diagnosis.memory import AR1
@@ -43,7 +43,6 @@ from stickslip_fit.units import Z_95, Interval
 
 AR1_GRID, LAG_GRID = np.r_[np.arange(0.0, 0.96, 0.05), 0.98], np.linspace(0.0, 4.0, 41)
 N_SIMULATIONS = 200
-N_DRAWS = 2000  # of the posterior distribution of a size
 N_ALTERNATIVES = 40  # likeliest ones, of which the mixture is made
 MIN_LEFT = 0.01  # share of the square of an alternative's effect that what stands in the law leaves
 

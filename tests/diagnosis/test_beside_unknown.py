@@ -208,6 +208,14 @@ def test_a_cause_whose_size_a_function_leaves_open_is_not_named(size, is_open_th
     assert not is_open(SimpleNamespace(causes=(cause, function), fit=fit))
 
 
+@pytest.mark.nightly
+def test_a_reversal_loss_that_a_function_of_humidity_and_pauses_covers_is_not_named():
+    """Of 1.7 +- 1.5 steps, where joints reverse after pauses in which a film of water grows."""
+    film = next(one for one in outside.cases((25.0,), 960000, 4) if one.form == "film of water at rest")
+    found = diagnose(read_hidden(film.make()), seed=film.seed, gain=False)
+    assert [one.cause for one in found.findings] == [UNKNOWN]
+
+
 def test_a_short_expression_in_time_is_not_taken_for_a_function_of_each_session():
     """Such a function may be noise with memory; an expression that all sessions share is none."""
     term = ProposedTerm((("x^2", "session_seconds", 0.0, 3600.0),))

@@ -7,15 +7,12 @@ import numpy as np
 import pytest
 
 from stickslip_fit.capture.protocols import VirtualClock
-from stickslip_fit.causes import library
 from stickslip_fit.drive.loop import DriveLoop, StepTiming
 from stickslip_fit.drive.record import BurstRecord
 from stickslip_fit.drive.state import VelocityInput
 from stickslip_fit.drive.velocity import joint_velocity
-from stickslip_fit.estimation import fit_least_squares
-from stickslip_fit.logs import read_log
 from stickslip_fit.machine import forward
-from stickslip_fit.moves import DriveReckoning, calibrated_arm
+from stickslip_fit.moves import DriveReckoning
 from stickslip_fit.units import Z_95
 from tests.drive.rig import Hand, Shown, Steps, joint, tip
 
@@ -205,14 +202,6 @@ def test_near_the_axis_the_person_is_told(arm):
     assert "near the axis of joint 1" in shown.states[3].limits[0]
     far = shown.states[3]
     assert np.linalg.norm(far.tip_velocity) < 0.5 * np.linalg.norm(far.wanted_velocity)
-
-
-def test_with_a_fitted_cause_it_drives_as_far_as_was_wanted(arm):
-    cause = [one for one in library() if one.name == "thermal-warm-up"]
-    fit = fit_least_squares(read_log("data/reference/campaign.csv"), causes=cause)
-    warm = calibrated_arm(fit, conditions={"session_seconds": 60.0})
-    ends = [drive_of(own, [(10.0, tip(3, 2.5, -2))], tolerance=3e-6)[0].run().q for own in (arm, warm)]
-    np.testing.assert_allclose(ends[1] - START, ends[0] - START, rtol=0.05, atol=1e-6)
 
 
 def test_the_state_goes_out_in_plain_numbers(arm):
