@@ -151,7 +151,9 @@ class FormulaTrials(Cause):
         """
         level, inside = np.zeros(n, dtype=np.intp), np.ones(n, dtype=bool)
         if self.source.by:
-            level = pd.Index(self.levels).get_indexer(pd.Index(np.asarray(labels)))
+            # As objects: that these are strings is not found out anew each time.
+            given = pd.Index(np.asarray(labels), dtype=object)
+            level = pd.Index(self.levels, dtype=object).get_indexer(given)
             inside = level >= 0
         places = np.maximum(level, 0)[:, None] + len(self.levels) * np.arange(len(self.order))
         return places, inside

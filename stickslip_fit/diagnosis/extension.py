@@ -215,12 +215,18 @@ class Extension:
         return self.problem.linearize_extended(self.fit)
 
 
-def extend_problem(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> Extension:
-    """The problem with causes in its laws, the noise re-estimated, and the fit."""
+def extend_problem(
+    problem: DiagnosisProblem, selected: Sequence[SelectedCause], fit: ExtendedFit | None = None
+) -> Extension:
+    """The problem with causes in its laws, the noise re-estimated, and the fit.
+
+    A `fit` of the same laws to the problem as it is need not be made again.
+    """
     causes = law_causes(selected)
     start = np.concatenate([np.zeros(0), *(one.start for one in causes)])
     versions = [one.version for one in causes]
-    problem, fit = _fit_with_departures(problem, versions, start)
+    if fit is None or any(isinstance(one, CarryOverTerm) for one in versions):
+        problem, fit = _fit_with_departures(problem, versions, start)
     correlated = problem.with_autocorrelation(fit)
     if correlated is not problem:
         problem, fit = correlated, correlated.refit_extended(versions, fit)
@@ -236,10 +242,12 @@ def extend_problem(problem: DiagnosisProblem, selected: Sequence[SelectedCause])
     return Extension(problem, fit, tuple(causes))
 
 
-def try_extension(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> Extension | None:
+def try_extension(
+    problem: DiagnosisProblem, selected: Sequence[SelectedCause], fit: ExtendedFit | None = None
+) -> Extension | None:
     """The same of causes that are tried only; None where their laws have no finite fit."""
     try:
-        return extend_problem(problem, selected)
+        return extend_problem(problem, selected, fit)
     except np.linalg.LinAlgError:
         return None
 

@@ -108,7 +108,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
             starts[cause] = fit.values[len(fit.values) - len(one.start) :]
         if problem.autocorrelation is not None and len(likeliest) > 1:
             one = replace(one, start=fit.values[len(fit.values) - len(one.start) :])
-            extension = try_extension(problem, [*selected, one])
+            extension = try_extension(problem, [*selected, one], fit)
             if extension is None:
                 failed.append(cause)
                 continue
