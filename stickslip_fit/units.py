@@ -55,6 +55,7 @@ class TableUnit(str):
 
 
 PRISMATIC = 3
+CREDIBLE = 0.95  # probability that an interval holds
 Z_95 = 1.959963984540054  # standard deviations on either side of 95 % of a normal distribution
 JOINTS = (1, 2, PRISMATIC)
 

@@ -32,12 +32,12 @@ from stickslip_fit.diagnosis.influence import assess_support
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, drop_single_rows, weigh_evidence
 from stickslip_fit.diagnosis.refits import MAX_REFIT_GAIN, advantage, refit_likeliest
+from stickslip_fit.units import CREDIBLE
 
 MIN_COVERED = 0.5  # of a cause's effect; of any other the test without the forms has told
 # Share of a function's square that it adds to a law whose causes take back the rest. One with less has a
 # variance inflation factor of 10, which counts as collinear (D. W. Marquardt, Technometrics 12:591, 1970).
 MIN_ADDED = 0.1
-CREDIBLE = 0.95  # of the interval of a cause's size, which has to exclude that it is absent
 
 
 def find_covered(extension: Extension, level: float) -> tuple[SelectedCause, Extension] | None:

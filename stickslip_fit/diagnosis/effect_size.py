@@ -40,11 +40,10 @@ from stickslip_fit.diagnosis.separability import is_distinguishable
 from stickslip_fit.diagnosis.travel_profile import find_travel_profiles
 from stickslip_fit.diagnosis.unknown_size import size_unknown
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
-from stickslip_fit.units import Z_95, Interval
+from stickslip_fit.units import CREDIBLE, Z_95, Interval
 
 MIN_SQUARE = 1e-300
 NORMAL_SCORES = ndtri((np.arange(400) + 0.5) / 400)  # a standard normal distribution, by its quantiles
-CREDIBLE = 0.95
 MIN_RIVAL = 0.05  # probability of a rival that is told, even if other data of this design would exclude it
 
 

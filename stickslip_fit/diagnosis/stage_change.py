@@ -41,7 +41,7 @@ from stickslip_fit.laws.physical import Physical
 from stickslip_fit.logs import Log
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 from stickslip_fit.machine import Machine
-from stickslip_fit.units import Interval
+from stickslip_fit.units import CREDIBLE, Interval
 
 COURSE_COLUMNS = {
     "session",
@@ -55,7 +55,6 @@ COURSE_COLUMNS = {
 SAME_COURSE = 0.6  # correlation of two findings that are one change
 QUANTITIES = ("friction", "mass", "voltage", "ramp time")
 SAME_TRACE = {"mass": "friction"}  # of which counts cannot tell one from the other
-CREDIBLE = 0.95
 NO_FIT = 0.001  # p-value below which none of the changes suffices
 PRIOR_SD = 0.15  # of the logarithm of a quantity's change
 SIZES = np.linspace(-0.7, 0.7, 2801)
