@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 LOG ?=
 
-.PHONY: demo test nightly format bench docs lab notebooks clean
+.PHONY: demo test slow nightly format bench docs lab notebooks clean
 
 demo: $(VENV)/.ready
 	$(BIN)/stickslip-fit demo $(LOG)
@@ -16,6 +16,9 @@ test: $(VENV)/.ready-test
 	$(BIN)/ruff format --check .
 	@echo "$(BIN)/mypy beside pytest"; $(BIN)/mypy & types=$$!; \
 	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal; tests=$$?; wait $$types && exit $$tests
+
+slow: $(VENV)/.ready-test
+	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal -m "slow and not nightly"
 
 nightly: $(VENV)/.ready-nightly
 	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal -m ""

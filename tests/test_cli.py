@@ -62,10 +62,12 @@ def test_fit_prints_and_saves(run, log, tmp_path, method):
     assert a["estimate"] == pytest.approx(float(shown[1]), abs=0.051)
 
 
+@pytest.mark.slow
 def test_calibrate_is_the_closed_form(run, log):
     assert run("calibrate", log)[1] == run("fit", log, "--method", "closed-form")[1]
 
 
+@pytest.mark.slow
 def test_a_move_from_a_log_and_from_a_saved_fit_agree(run, log, tmp_path):
     run("fit", log, "--json", tmp_path / "fit.json")
     move = ("--at", "0,-90,0", "--joints", "20,-60,6")
@@ -89,6 +91,7 @@ def test_where_says_when_to_go_back_to_a_stop(run, log):
     assert re.search(r"joint 2 \+ +[\d,]+ steps, then go back to a stop", out)
 
 
+@pytest.mark.slow
 def test_simulate_check_and_sheet_from_one_plan(run, tmp_path):
     plan, law = REFERENCE / "plan.toml", REFERENCE / "law.toml"
     assert run("simulate", plan, "--law", law, "-o", tmp_path / "one.csv")[0] == 0
@@ -100,6 +103,7 @@ def test_simulate_check_and_sheet_from_one_plan(run, tmp_path):
     assert (tmp_path / "sheet.html").exists()
 
 
+@pytest.mark.slow
 def test_a_saved_fit_can_be_simulated_from(run, log, tmp_path):
     run("fit", log, "--json", tmp_path / "fit.json")
     plan = REFERENCE / "plan.toml"
@@ -107,6 +111,7 @@ def test_a_saved_fit_can_be_simulated_from(run, log, tmp_path):
     assert (status, err) == (0, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("verb", "name", "begins"),
     [
@@ -131,6 +136,7 @@ def test_the_control_chart_is_drawn_and_the_same_each_time(
     assert (tmp_path / name).read_bytes() == first
 
 
+@pytest.mark.slow
 def test_predict_says_what_a_plan_will_give(run, log, campaign, tmp_path):
     plan = tmp_path / "plan.toml"
     plan.write_text(PLAN)
@@ -157,6 +163,7 @@ def test_predict_says_what_a_plan_will_give(run, log, campaign, tmp_path):
     assert predicted["step_size_urad"].notna().equals(predicted["joint"] == 2)
 
 
+@pytest.mark.slow
 def test_predict_from_a_log_takes_the_session_that_is_named(run, log, tmp_path):
     plan = tmp_path / "plan.toml"
     plan.write_text(PLAN)
@@ -166,6 +173,7 @@ def test_predict_from_a_log_takes_the_session_that_is_named(run, log, tmp_path):
     assert by_log != run("predict", log, plan)
 
 
+@pytest.mark.slow
 def test_bayes_tells_its_checks_and_keeps_its_draws(run, campaign, tmp_path):
     table = campaign(settings=({"joint": 3, "q2_deg": 0.0}, *SWEEP), directions=("+",))
     table.to_csv(tmp_path / "log.csv", index=False)
@@ -181,6 +189,7 @@ def test_bayes_tells_its_checks_and_keeps_its_draws(run, campaign, tmp_path):
     assert "by the calibration of a session to come" in out
 
 
+@pytest.mark.slow
 def test_the_demo_finds_what_is_hidden_and_nothing_else(run, monkeypatch, tmp_path):
     """The commands that it shows are ones that a user can type; its files are there to look at."""
     monkeypatch.chdir(tmp_path)
@@ -265,6 +274,7 @@ def test_every_fault_of_a_log_is_told_and_nothing_is_written(run, log, tmp_path)
     assert not (tmp_path / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_what_was_asked_for_is_saved_whoever_stops_reading(log, tmp_path):
     program = [sys.executable, "-m", "stickslip_fit", "fit", log, "--json", str(tmp_path / "fit.json")]
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as fitting:
@@ -273,6 +283,7 @@ def test_what_was_asked_for_is_saved_whoever_stops_reading(log, tmp_path):
     assert (tmp_path / "fit.json").exists()
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_says_so_and_leaves_nothing(run, campaign, monkeypatch, tmp_path):
     def interrupted(*_):
         raise KeyboardInterrupt

@@ -200,6 +200,7 @@ def random_expression(rng, depth):
     return f"({one} {rng.choice(['+', '-', '*', '/', '**'])} {other})"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "number"), [(1, 200), pytest.param(2, 10_000, marks=pytest.mark.nightly)])
 def test_random_texts_are_refused_or_read_and_never_run(seed, number, tmp_path, monkeypatch):
     """None of them makes the folder that some of them would make if they were run, or takes long."""

@@ -80,6 +80,7 @@ def run(run, monkeypatch, folder):
     return run
 
 
+@pytest.mark.slow
 def test_the_causes_that_were_simulated_are_fitted_with_units_and_error_bars(run):
     status, out, _ = run("fit", "log.csv", "--cause", "thermal-warm-up", "--cause", "reversal-loss")
     assert status == 0
@@ -93,6 +94,7 @@ def test_the_causes_that_were_simulated_are_fitted_with_units_and_error_bars(run
         assert error < 0.3 * truth
 
 
+@pytest.mark.slow
 def test_a_parameter_of_a_cause_can_be_bounded(run):
     bounds = ("--bound", "thermal-warm-up.tau=30:60")
     out = run("fit", "log.csv", "--cause", "thermal-warm-up", *bounds)[1]
@@ -168,6 +170,7 @@ def test_what_a_move_must_be_told_is_asked_for_and_what_changes_nothing_refused(
     assert run(*move, "--condition", "session_min=soon")[0] == 2
 
 
+@pytest.mark.slow
 def test_a_plan_is_predicted_by_its_own_clock(run):
     status, _, _ = run("predict", "fit.json", "plan.toml", "--session", "2012-03-05", "-o", "predicted.csv")
     assert status == 0
@@ -182,6 +185,7 @@ def test_a_plan_is_predicted_by_its_own_clock(run):
     assert "session_seconds" not in complained
 
 
+@pytest.mark.slow
 def test_a_session_to_come_is_simulated_from_a_result_and_calibrated_with_its_causes(run):
     assert run("simulate", "later.toml", "--law", "fit.json", "-o", "later.csv")[0] == 0
     status, out, _ = run("calibrate", "later.csv", "--causes-from", "fit.json", "--json", "today.json")
@@ -197,6 +201,7 @@ def test_a_session_to_come_is_simulated_from_a_result_and_calibrated_with_its_ca
         assert abs(today[key]["estimate"] - before[key]["estimate"]) < 4 * error
 
 
+@pytest.mark.slow
 def test_the_report_is_of_the_extended_law(run):
     assert run("report", "log.csv", "--cause", "thermal-warm-up", "-o", "with.html", *QUICK)[0] == 0
     page = Path("with.html").read_text("utf-8")
@@ -240,6 +245,7 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
     assert "as it was, since no cause was named" in diagnosing.save_extended_law(nothing, Path("plain.json"))
 
 
+@pytest.mark.slow
 def test_the_guide_s_example_comes_out_as_printed_there(run):
     guide = (REFERENCE.parents[1] / "docs" / "howto" / "extend-the-law.md").read_text("utf-8")
     causes = re.search(r"```toml\n(.*?)```", guide, re.S)[1]

@@ -146,6 +146,7 @@ def test_a_killed_writer_leaves_a_whole_file_and_no_temporary_one_after_the_next
     assert left or kills < 100
 
 
+@pytest.mark.slow
 def test_saving_never_replaces_the_log(campaign, tmp_path):
     path = tmp_path / "log.csv"
     campaign(("2012-03-05",)).to_csv(path, index=False)

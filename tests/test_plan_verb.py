@@ -41,6 +41,7 @@ def log(tmp_path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_plan_is_told_what_it_could_show_confuse_and_not_see(run, plan, tmp_path):
     saved, chart = tmp_path / "out.json", tmp_path / "out.png"
     status, out, _ = run("plan", plan, "--alpha", 0.05, "--json", saved, "--chart", chart, "--full")
@@ -62,6 +63,7 @@ def test_a_plan_is_told_what_it_could_show_confuse_and_not_see(run, plan, tmp_pa
     assert drift["smallest_found"] == pytest.approx(drift["strength_found"] / drift["strength_of_size_1"])
 
 
+@pytest.mark.slow
 def test_a_law_of_ones_own_serves_as_well(run, plan, tmp_path):
     law = tmp_path / "law.toml"
     law.write_text(LAW.format(day_to_day=0), "utf-8")
@@ -70,6 +72,7 @@ def test_a_law_of_ones_own_serves_as_well(run, plan, tmp_path):
     assert out.startswith("three loads")
 
 
+@pytest.mark.slow
 def test_a_log_in_which_nothing_is_wrong_is_told_what_it_could_not_have_seen(run, log, tmp_path):
     saved = tmp_path / "next.json"
     status, out, _ = run("plan", log, "--alpha", 0.01, "--json", saved)
@@ -88,6 +91,7 @@ def test_a_log_in_which_nothing_is_wrong_is_told_what_it_could_not_have_seen(run
     assert missed["humidity"]["traverse"] is None
 
 
+@pytest.mark.slow
 def test_a_log_that_is_too_small_is_told_what_would_do(run, tmp_path):
     path = tmp_path / "few.csv"
     hide("session", (), seed=3).table.head(6).to_csv(path, index=False)
@@ -96,6 +100,7 @@ def test_a_log_that_is_too_small_is_told_what_would_do(run, tmp_path):
     assert out.startswith("This log can show nothing: too few traverses")
 
 
+@pytest.mark.slow
 def test_causes_that_a_log_confuses_come_with_the_traverses_that_tell_them_apart(run, tmp_path):
     table = hide("session", ("drift",), strength=10, seed=5).table
     path, saved = tmp_path / "one_way.csv", tmp_path / "next.json"

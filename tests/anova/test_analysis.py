@@ -80,6 +80,7 @@ def test_what_was_put_in_comes_out_and_nothing_else(told):
         assert (record["p_holm"] < 0.05) == (analysis not in absent), record
 
 
+@pytest.mark.slow
 def test_a_rotation_that_matters_is_named_by_its_orientations(told):
     records, found = told(shift=lambda d, s, t: 15.0 * (t == -90.0))
     assert records["normal-force", "+", None]["p_holm"] < 0.05
@@ -127,6 +128,7 @@ def test_the_load_along_the_axis_is_kept_out_of_the_normal_force(campaign, read_
     assert "rotation about the joint's axis" in refused.reason
 
 
+@pytest.mark.slow
 def test_all_joints_are_asked_at_a_stated_configuration_or_at_every_one(campaign, read_table):
     log = read_table(campaign(replicates=2))
     once = Counter((each.design.analysis, each.design.joint) for each in analyze_variance(log).factor_tests)
@@ -181,6 +183,7 @@ def test_what_cannot_be_answered_is_refused_with_the_reason(told, name):
         assert (record["F"] is None) == (record["p_value"] is None) == (record["unit"] is None)
 
 
+@pytest.mark.slow
 def test_what_can_be_answered_still_is(told):
     one_each, _ = told({(d, s, 0.0): 1 for d in DAYS for s in "+-"}, lambda d, s, t: 20.0 * (s == "+"))
     assert one_each["direction", None, None]["p_value"] < 0.05
@@ -200,6 +203,7 @@ def test_readings_that_repeat_exactly_are_refused(told):
     assert any("no scatter at all" in each.reason for each in found.not_testable)
 
 
+@pytest.mark.slow
 def test_interrupted_and_excluded_traverses_are_left_out(log_of_readings, readings_of, tmp_path):
     log = log_of_readings(readings_of(DESIGN))
     spoilt = log.rows.assign(status="ok")

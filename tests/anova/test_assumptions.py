@@ -31,6 +31,7 @@ def design():
     return np.tile([0, 1], 12), block, np.tile(np.arange(8) * 300.0, 3)
 
 
+@pytest.mark.slow
 def test_a_premise_that_holds_is_doubted_as_seldom_as_is_said(design):
     level, block, time = design
     found = rates(lambda rng: 950.0 + 5.0 * block + rng.standard_normal(24), level, block, time)
@@ -40,6 +41,7 @@ def test_a_premise_that_holds_is_doubted_as_seldom_as_is_said(design):
         ), name
 
 
+@pytest.mark.slow
 def test_premises_that_fail_are_doubted(design):
     _, block, time = design
     misheard = 8.0 * (np.arange(24) == 5)

@@ -97,6 +97,7 @@ def test_power_is_what_its_formula_says(sizes):
     )
 
 
+@pytest.mark.slow
 def test_what_is_detectable_is_declared_among_many_tests_as_often_as_it_says():
     """Of 20 tests of which one has an effect: the level that Holm leaves, not that of a single test."""
     comparison, rng = build_comparison(np.repeat([0, 1], 3)), np.random.default_rng(8)
@@ -137,6 +138,7 @@ def test_power_is_a_tail_of_the_noncentral_f_distribution(df):
         assert f_test_power(size, df) == pytest.approx(stats.ncf.sf(critical, *df, size), rel=1e-8)
 
 
+@pytest.mark.slow
 def test_the_interval_of_the_largest_difference_knows_that_it_was_picked():
     """The same numbers with Student's interval would be right in about 88 of 100 logs."""
     rng, comparison = np.random.default_rng(6), build_comparison(np.repeat(np.arange(3), 3))

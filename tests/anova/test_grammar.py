@@ -155,6 +155,7 @@ def test_a_table_too_wide_to_compute_is_refused():
 HOSTILE = ("__import__('os')", "a b", "C(session)", "x + y", "{0.__class__}", "log", "Q", "`rm`", "Ω²")
 
 
+@pytest.mark.slow
 def test_columns_that_look_like_code_are_names_and_nothing_else(campaign, read_table):
     table = campaign(settings=({"joint": 3, "q2_deg": -90.0},), replicates=9)
     for number, name in enumerate(HOSTILE):

@@ -101,6 +101,7 @@ def test_f_is_that_of_statsmodels(machine, design):
         assert tests[term].p_value == pytest.approx(table.loc[name, "PR(>F)"], rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("design", "logs"),
     [

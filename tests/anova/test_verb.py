@@ -18,6 +18,7 @@ def run(run):
     return partial(run, "anova")
 
 
+@pytest.mark.slow
 def test_the_answer_comes_first_and_the_json_holds_it(run, tmp_path):
     status, out, _ = run(REFERENCE, "--joint", 3, "--json", tmp_path / "anova.json")
     assert status == 0

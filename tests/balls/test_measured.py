@@ -71,6 +71,7 @@ def test_drag_of_each_ball_is_found_in_all_drops_together(frames):
     assert np.sqrt(np.mean(fit.residuals["residual"] ** 2)) < 0.3
 
 
+@pytest.mark.slow
 def test_drag_and_slant_of_light_balls_are_found_within_bounds_that_hold_no_drag(frames):
     """Of four whiffle balls and the volleyball."""
     light = frames[frames["ball"].str.contains("whiffle|volleyball")].reset_index(drop=True)

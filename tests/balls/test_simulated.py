@@ -67,6 +67,7 @@ def test_falls_are_those_of_an_integrator(name):
         assert heights == pytest.approx(fall(release, velocity, ACCELERATIONS[name]), abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "most"), [(2, 0), pytest.param(400, binom.ppf(0.99, 400, 0.01), marks=pytest.mark.nightly)]
 )
@@ -94,6 +95,7 @@ def test_drag_is_named_with_its_size(name, number):
     assert covered >= binom.ppf(0.001, number, 0.95)
 
 
+@pytest.mark.slow
 def test_another_g_and_the_cameras_scale_cannot_be_told_apart():
     causes = (ANOTHER_G, CAMERA_SCALE)
     diagnosis = diagnose(filmed(lambda _: -1.05 * G, 1), causes, generic_causes=())
@@ -102,6 +104,7 @@ def test_another_g_and_the_cameras_scale_cannot_be_told_apart():
     assert {finding.cause, *finding.equivalent} == {"another-g", "camera-scale"}
 
 
+@pytest.mark.slow
 def test_what_release_absorbs_is_untestable():
     diagnosis = diagnose(filmed(ACCELERATIONS["quadratic-drag"], 2), (CLOCK_OFFSET,))
     assert "clock-offset" in diagnosis.untestable

@@ -55,6 +55,7 @@ def test_every_parameter_has_the_effective_draws_that_were_asked_for(posterior):
     assert set(quality["parameter"]) == {"a", "b", "c", "repeatability"} | spreads
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_numbers(log):
     forward = log.select(log.rows["direction"] == "+")
     one, again, other = (
@@ -71,6 +72,7 @@ def test_the_repeatability_is_told_as_the_posteriors(posterior):
     assert "No scatter is known" not in shown
 
 
+@pytest.mark.slow
 def test_saved_and_read_again(posterior, log, tmp_path):
     path = tmp_path / "posterior.nc"
     posterior.save(path)
@@ -150,6 +152,7 @@ def test_leave_one_out_is_the_log_density_of_each_count_foretold(posterior, log)
         assert 2 < row.p < 15
 
 
+@pytest.mark.slow
 def test_one_session_gives_numbers(campaign, read_table):
     result = fit_bayes(read_table(campaign(sessions=SESSIONS[:1], settings=JOINT_3)), progress=False).result
     table = result.si.parameters
@@ -158,6 +161,7 @@ def test_one_session_gives_numbers(campaign, read_table):
     assert found["low"] < 976e-9 < found["high"]
 
 
+@pytest.mark.slow
 def test_a_session_with_one_direction_is_fitted_in_that_direction(campaign, read_table):
     table = campaign(sessions=SESSIONS[:2], settings=JOINT_3)
     half = table[(table["session"] == SESSIONS[0]) | (table["direction"] == "+")]
@@ -182,6 +186,7 @@ def test_a_session_with_few_traverses_leans_on_the_others(campaign, read_table):
     assert errors[SESSIONS[2], "b"] > 2 * errors[SESSIONS[0], "b"]
 
 
+@pytest.mark.slow
 def test_what_no_session_shows_is_not_reported(campaign, read_table):
     level = [setting for setting in JOINT_3 if setting["q2_deg"] == -90.0 or setting["theta_deg"] == -90.0]
     log = read_table(campaign(sessions=SESSIONS, settings=tuple(level)))
@@ -195,6 +200,7 @@ def test_what_no_session_shows_is_not_reported(campaign, read_table):
     assert posterior.si.predict(log.usable)["steps"].isna().all()
 
 
+@pytest.mark.slow
 def test_without_replicates_the_repeatability_is_said_to_lean_on_the_prior(campaign, read_table):
     table = campaign(sessions=SESSIONS[:1], settings=JOINT_3[:3], replicates=1)
     result = fit_bayes(read_table(table), progress=False).result
@@ -202,6 +208,7 @@ def test_without_replicates_the_repeatability_is_said_to_lean_on_the_prior(campa
     assert result.si.parameters["standard_error"].notna().all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sessions", "factor"),
     [
@@ -226,6 +233,7 @@ def test_a_count_wildly_off_is_named_and_no_other(campaign, read_table, sessions
     assert expected == pytest.approx(table.loc[7, "steps"] / factor, rel=0.02)
 
 
+@pytest.mark.slow
 def test_what_has_not_converged_is_no_number(log):
     posterior = fit_bayes(log, max_steps=3, progress=False)
     result = posterior.result
@@ -237,6 +245,7 @@ def test_what_has_not_converged_is_no_number(log):
     assert posterior.si.predict(log.usable)["steps"].isna().all()
 
 
+@pytest.mark.slow
 def test_weights_with_heavy_tails_are_not_trusted(log, monkeypatch):
     """As if linearising went badly wrong."""
     from stickslip_fit.bayes import sampler as sample

@@ -77,6 +77,7 @@ def check(ranks):
         assert np.all((low <= inside) & (inside <= high)), (share, inside)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "law", ["prismatic", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("elbow", "base"))]
 )

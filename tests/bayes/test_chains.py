@@ -33,6 +33,7 @@ def traverses(traverses_of):
     return traverses_of(truth, 0.003, np.random.default_rng(8))
 
 
+@pytest.mark.slow
 def test_an_interrupted_walk_ends_as_if_nothing_had_happened(traverses, tight_prior, tmp_path):
     path, made = tmp_path / "chains.h5", 0
 
@@ -91,6 +92,7 @@ def test_files_of_others_are_neither_used_nor_written(traverses, tight_prior, tm
         file_backends(path, "x", traverses, tight_prior, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["nan", "no steps"])
 def test_damaged_chains_are_not_continued(traverses, tight_prior, tmp_path, damage):
     path = tmp_path / "chains.h5"

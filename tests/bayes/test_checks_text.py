@@ -28,6 +28,7 @@ def changed(log, factor):
     return replace(log, rows=log.rows.assign(steps=steps))
 
 
+@pytest.mark.slow
 def test_counts_of_the_model_look_like_it(log):
     text = said(log)
     assert "The counts look like the model's own." in text
@@ -39,12 +40,14 @@ def test_counts_of_the_model_look_like_it(log):
     assert row.endswith("of 90")
 
 
+@pytest.mark.slow
 def test_a_count_that_is_wildly_off_is_told(log):
     factor = np.ones(len(log.rows))
     factor[20] = 1.15
     assert "! joint 3 +: a count is further off than the model ever has it" in said(changed(log, factor))
 
 
+@pytest.mark.slow
 def test_a_drift_within_the_session_is_told(log):
     hours = log.rows["session_seconds"].to_numpy() / 3600
     assert "joint 3 +: neighbours in time have residuals of one sign" in said(changed(log, 1 + 0.02 * hours))

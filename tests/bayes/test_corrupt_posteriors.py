@@ -91,6 +91,7 @@ def drop(name):
     return change
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "reason"),
     [

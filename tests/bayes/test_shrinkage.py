@@ -70,6 +70,7 @@ def rms(off):
     return np.sqrt(np.mean(off**2))
 
 
+@pytest.mark.slow
 def test_the_last_day_is_better_known_than_by_itself_or_by_the_others(outcome):
     name, truth, today, new, alone = outcome
     ours = rms(np.median(today, axis=1) - truth)
@@ -81,6 +82,7 @@ def test_the_last_day_is_better_known_than_by_itself_or_by_the_others(outcome):
         assert np.isnan(alone).all()
 
 
+@pytest.mark.slow
 def test_its_intervals_cover(outcome):
     """Traverse by traverse, since those of one day go astray together."""
     _, truth, today, *_ = outcome

@@ -154,6 +154,7 @@ def test_sizes_of_causes_are_those_of_least_squares(warm, posterior):
     assert np.all(np.abs(a - wanted.loc["a"]["estimate"]) < 0.5 * wanted.loc["a"]["standard_error"])
 
 
+@pytest.mark.slow
 def test_a_posterior_with_causes_is_saved_and_foretells_a_session_to_come(warm, posterior, tmp_path):
     posterior.save(tmp_path / "fit.nc")
     again = load_posterior(tmp_path / "fit.nc")
@@ -167,6 +168,7 @@ def test_a_posterior_with_causes_is_saved_and_foretells_a_session_to_come(warm, 
     assert "<table" in again._repr_html_()
 
 
+@pytest.mark.slow
 def test_what_no_count_tells_is_the_prior_s_and_said_to_be(campaign, read_table):
     """A drive that does not warm up says nothing of how fast it would."""
     settings = tuple({"joint": 3, "q2_deg": q2, "theta_deg": at} for q2, at in ((-90, 0), (0, 0), (0, -90)))

@@ -126,6 +126,7 @@ def test_without_counting_the_person_brings_joints_to_such_positions(short):
     assert short.player.brought == [(1, 0.0), (2, -math.pi / 2)]
 
 
+@pytest.mark.slow
 def test_a_doubtful_reading_is_marked_and_made_again(short):
     short.predictor.off = 0.9
     short.answer(OperatorReply(), REPEAT, OperatorReply(OperatorChoice.REPEAT, "door slammed"))
@@ -145,6 +146,7 @@ def test_a_reading_left_out_is_not_made_again(short):
     assert len(short.player.told) == len(short.plan.rows())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("drive", "note"),
     [
@@ -180,6 +182,7 @@ def test_whatever_ends_it_in_mid_traverse_the_controller_is_stopped_and_the_log_
     assert short.rows.groupby("joint")["steps"].sum().to_dict() == short.joints.made
 
 
+@pytest.mark.slow
 def test_quit_and_resumed_it_goes_on_with_the_next_traverse(short):
     short.answer(OperatorReply(), OperatorReply(), OperatorReply(OperatorChoice.QUIT, "lunch"))
     assert not short.run()
@@ -231,6 +234,7 @@ def test_without_a_law_a_drive_is_limited_by_the_readings_before_it(short):
     assert short.rows["steps"].max() <= 6 * reading + 100
 
 
+@pytest.mark.slow
 def test_a_planned_warm_up_drive_is_made_once_and_logged_as_excluded(folder):
     warm_up = (
         HAND.replace("replicates = 3", 'replicates = 1\nstatus = "excluded"')
@@ -245,6 +249,7 @@ def test_a_planned_warm_up_drive_is_made_once_and_logged_as_excluded(folder):
     assert (abs(logged["stop"] - logged["start"]) > 1.0).sum() >= 4
 
 
+@pytest.mark.slow
 def test_a_joint_that_was_set_by_hand_is_driven_as_far_as_it_may_stand_away(folder):
     class Misplaced(Player):
         def bring_joint(self, joint, position):
@@ -281,6 +286,7 @@ def test_a_fault_of_the_detector_ends_the_drive(short):
     assert short.rows["status"].tolist() == ["interrupted"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("commands", [1, *(pytest.param(n, marks=pytest.mark.nightly) for n in (2, 30)), 501])
 def test_unplugged_in_mid_move_it_says_so_and_goes_on_later(short, commands):
     class Frail(Joints):
@@ -304,6 +310,7 @@ def test_unplugged_in_mid_move_it_says_so_and_goes_on_later(short, commands):
     assert_whole(again)
 
 
+@pytest.mark.slow
 def test_what_the_controller_refuses_is_told_and_tried_again(short):
     class Moody(Joints):
         moods = iter([None] * 10 + [ControllerError("joint 1: piezo voltage breakdown")])
@@ -320,6 +327,7 @@ def test_what_the_controller_refuses_is_told_and_tried_again(short):
     assert_whole(short)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [100, 10_000, pytest.param(20_000, marks=pytest.mark.nightly)])
 def test_on_a_full_disk_nothing_acknowledged_is_lost(short, size):
     with disk_of(size), pytest.raises(InputError, match="make room"):
@@ -353,6 +361,7 @@ def test_a_journal_left_by_a_capture_that_never_began_is_in_nobodys_way(short):
     assert_whole(short)
 
 
+@pytest.mark.slow
 def test_a_log_changed_by_hand_is_put_aside_before_it_is_written_again(short):
     short.answer(OperatorReply(), QUIT)
     short.run()
@@ -367,6 +376,7 @@ def test_a_log_changed_by_hand_is_put_aside_before_it_is_written_again(short):
     assert not short.log.with_name("log.csv.edited-2").exists()
 
 
+@pytest.mark.slow
 def test_conditions_stand_in_the_log_from_the_moment_they_are_said_to_the_end_of_the_session(folder):
     capture = Capture(folder, plan_of(folder, SHORT.replace("03-05]", "03-05, 2012-03-06]")))
     capture.conditions = {"supply": 80.0}
@@ -385,6 +395,7 @@ def test_conditions_stand_in_the_log_from_the_moment_they_are_said_to_the_end_of
     assert (kept["supply"] == 80.0).all()
 
 
+@pytest.mark.slow
 def test_a_log_that_another_program_writes_meanwhile_is_kept(short):
     class Meanwhile(Player):
         def review(self, reading):
@@ -413,6 +424,7 @@ def test_two_captures_at_once_are_refused(short):
         short.run(again=True)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork a capture that is killed")
 @pytest.mark.parametrize(("kills", "seed"), [(2, 1), pytest.param(200, 2, marks=pytest.mark.nightly)])
 def test_killed_at_random_moments_it_loses_nothing(folder, kills, seed):

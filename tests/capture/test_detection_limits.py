@@ -46,6 +46,7 @@ def test_limits_narrow_as_a_baseline_is_learnt_and_widen_where_the_stop_is_loud(
     assert np.all(close.max_rise < 2 * close.pair_threshold)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pushing", [pytest.param(False, marks=pytest.mark.nightly), True])
 def test_powers_without_sound_are_distributed_as_those_of_whole_sounds(tuning, pushing):
     number = 1500
@@ -73,6 +74,7 @@ def operating_point(acoustics, tuning, traverses, stops, drift_db, seed):
     return false_stops, late
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift_db", [pytest.param(0.0, marks=pytest.mark.nightly), 6.0])
 def test_stops_are_found_and_not_imagined_at_0_db(tuning, drift_db):
     false_stops, late = operating_point(AT_ZERO, tuning, 3000, 20_000, drift_db, 5)

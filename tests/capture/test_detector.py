@@ -42,6 +42,7 @@ def until_it_says_something(detector, seconds=SECONDS, most=400):
     return most, heard
 
 
+@pytest.mark.slow
 def test_a_stop_is_found_at_its_second_check_and_told_from_its_first(tuning):
     for seed in range(20):
         check, heard = until_it_says_something(

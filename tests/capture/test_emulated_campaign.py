@@ -66,6 +66,7 @@ def part(path, truth, plan, operator, opened=begin_journal):
         return complete, rig
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lunch", [pytest.param(None, marks=pytest.mark.nightly), 7])
 def test_a_captured_log_holds_what_the_emulator_hides(tmp_path, lunch):
     """Every count is that of the hidden law after the history that the log itself tells."""

@@ -56,6 +56,7 @@ def hidden(*names):
     return "".join(f'\n[[cause]]\nname = "{name}"\n{CAUSES[name]}\n' for name in names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "names",
     [pytest.param((), marks=pytest.mark.nightly), [*CAUSES][:4], [*CAUSES][4:]],
@@ -81,6 +82,7 @@ def test_a_traverse_follows_the_one_before_it_and_not_its_own_beginning(tmp_path
     assert back > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [pytest.param("gaussian", marks=pytest.mark.nightly), "t5"])
 def test_with_noise_the_counts_spread_about_simulates(kind, tmp_path):
     truth = truth_of(tmp_path, noise=0.02)
@@ -99,6 +101,7 @@ def test_with_noise_the_counts_spread_about_simulates(kind, tmp_path):
         assert logs.std() == pytest.approx(0.02, rel=0.3)
 
 
+@pytest.mark.slow
 def test_days_differ_as_the_law_file_says_and_stay_themselves(tmp_path):
     truth = truth_of(tmp_path, day_to_day=3.0)
     rig = emulate_rig(truth)

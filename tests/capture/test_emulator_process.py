@@ -38,6 +38,7 @@ def controller(rig):
     controller.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dialect", ["new", "old"])
 def test_a_rig_is_driven_until_its_cable_is_pulled(dialect, law):
     with start_emulator(law, *FAST, "--dialect", dialect) as rig:

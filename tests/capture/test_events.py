@@ -171,6 +171,7 @@ def mutate(events, rng):
     return changed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("trials", "seed"), [(60, 1), pytest.param(3000, 2, marks=pytest.mark.nightly)])
 def test_changed_journals_are_refused_or_read(captured, trials, seed):
     capture, events = captured

@@ -114,6 +114,7 @@ class ListeningOperator:
         return self.manipulator.position(3) == 0.0
 
 
+@pytest.mark.slow
 def test_the_detector_is_tuned_with_a_person_who_hears_the_stop():
     emulator = emulate_rig(HiddenLaws(read_law_values(LAW, MACHINE), MACHINE))
     controller, source = emulator.controller(pytest.fail), emulator.microphone(Acoustics(9.0))
@@ -123,6 +124,7 @@ def test_the_detector_is_tuned_with_a_person_who_hears_the_stop():
     assert abs(tuning.frequency - Acoustics().peak) < 1000
 
 
+@pytest.mark.slow
 def test_a_stop_that_nobody_hears_ends_the_tuning(monkeypatch):
     emulator = emulate_rig(HiddenLaws(read_law_values(LAW, MACHINE), MACHINE))
     controller, source = emulator.controller(pytest.fail), emulator.microphone(Acoustics(9.0))

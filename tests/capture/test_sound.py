@@ -14,6 +14,7 @@ def power_in(sound, rate, low, high):
     return np.trapezoid(density[inside], frequencies[inside])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("snr_db", "peak", "width"), [(0.0, 6000.0, 2000.0), (6.0, 4000.0, 600.0)])
 def test_signal_over_noise_is_that_of_2_khz_about_the_peak(snr_db, peak, width):
     acoustics = Acoustics(snr_db, peak, width)
@@ -39,6 +40,7 @@ def test_steps_click_at_the_step_rate_and_only_when_they_are_made():
     assert harmonics.sum() > 0.95 * lines.sum()
 
 
+@pytest.mark.slow
 def test_bangs_and_speech_are_the_same_however_the_time_is_cut():
     calm = Acoustics(room=1e-9, clicks=1e-9, hum=0.0, bangs=2.0, speech=0.5, seed=4)
     rng = np.random.default_rng(1)

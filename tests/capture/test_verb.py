@@ -42,6 +42,7 @@ def short(plan):
     return plan
 
 
+@pytest.mark.slow
 def test_an_emulated_campaign_is_what_simulate_makes_of_the_plan(run, plan, tmp_path):
     log, exact = tmp_path / "log.csv", tmp_path / "law.toml"
     # Days that do not differ, so that both counts follow from the law alone.
@@ -66,6 +67,7 @@ def test_what_was_begun_is_not_begun_again_but_gone_on_with(run, refused, short,
     assert log.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_by_ear_the_stop_is_heard_within_two_checks(run, short, tmp_path):
     logs = {ear: tmp_path / f"{ear}.csv" for ear in ("sound", "perfect")}
     run("capture", short, "-o", logs["perfect"], *ALONE)
@@ -116,6 +118,7 @@ def test_what_was_recorded_before_is_no_failure(run, short, tmp_path, monkeypatc
     assert run("capture", short, "-o", log, "--resume", "--emulate", "--ideal-detector")[0] == 0
 
 
+@pytest.mark.slow
 def test_a_tuning_that_would_miss_the_stops_is_refused_before_anything_else(refused, plan, tmp_path):
     tuning, log = tmp_path / "tuning.json", tmp_path / "log.csv"
     save_tuning(tuned(Acoustics(-6.0)), tuning)
@@ -162,6 +165,7 @@ def recordings(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_an_ear_is_tuned_by_recordings_and_hears_the_stop_in_another(run, recordings):
     tuning, chart = recordings / "ear.json", recordings / "ear.png"
     of = ("--moving", recordings / "moving.wav", "--at-stop", recordings / "at_stop.wav")
@@ -191,6 +195,7 @@ def test_an_ear_cannot_be_tuned_by_nothing(refused, tmp_path, options, complaint
     assert not (tmp_path / "ear.json").exists()
 
 
+@pytest.mark.slow
 def test_tuning_at_an_emulated_rig(run, tmp_path):
     assert "distinguished well" in run("capture", "tune", "-o", tmp_path / "a.json", "--emulate")[1]
     assert "cannot be distinguished" in run(

@@ -195,6 +195,7 @@ def test_a_knock_is_found_in_its_session_at_its_moment(knocked):
     assert abs((chosen - at).total_seconds()) < 2000
 
 
+@pytest.mark.slow
 def test_a_version_of_its_own_keeps_its_session(knocked):
     log, _ = knocked
     table = causes_of(fit_least_squares(log, causes=(SessionJump(session="2012-03-05"),)))
@@ -271,6 +272,7 @@ class Humming(FactorCause):
         return 1.0 + values[0] * (-1.0) ** (state.column("session_seconds") // 60)
 
 
+@pytest.mark.slow
 def test_a_cause_of_one_s_own_is_fitted_saved_and_loaded_like_any_other(campaign, read_table, tmp_path):
     table = campaign(check_every=1)
     table["steps"] = np.round(table["steps"] / (1 + 0.01 * (-1.0) ** (seconds(table) // 60))).astype(int)
@@ -285,6 +287,7 @@ def test_a_cause_of_one_s_own_is_fitted_saved_and_loaded_like_any_other(campaign
     pd.testing.assert_frame_equal(back.si.predict(log.usable), found.si.predict(log.usable))
 
 
+@pytest.mark.slow
 def test_a_search_comes_to_rest_though_the_time_constant_of_nothing_is_next_to_unknown():
     log = read_log(Path(__file__).parents[2] / "data" / "reference" / "campaign.csv")
     found = fit_least_squares(log, causes=(WARM_UP, LATENCY))

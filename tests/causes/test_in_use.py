@@ -200,6 +200,7 @@ def test_conditions_at_the_shell_are_numbers_that_a_drive_can_have(result):
     assert parse_conditions(["session_min=0"], result, "--condition") == {"session_seconds": 0.0}
 
 
+@pytest.mark.slow
 def test_a_plan_is_predicted_with_the_clock_that_it_will_have(plan, result, arm_log):
     found = predict(result, plan, session=str(arm_log.rows["session"].iloc[0]))
     rows = arm_log.rows

@@ -149,6 +149,7 @@ def test_largest_plausible_sizes_are_no_less_than_a_trial_and_leave_the_joints_r
     assert np.sqrt((found**2).sum(axis=0)).max() > 0.999 * ordinary
 
 
+@pytest.mark.slow
 def test_all_trials_of_a_log_take_a_fraction_of_a_second(log):
     from time import process_time
 

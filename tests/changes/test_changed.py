@@ -77,6 +77,7 @@ def test_one_session_against_three_takes_their_scatter(make_log):
     assert "The new log has a single session: the scatter from day to day is that of the old log." in said
 
 
+@pytest.mark.slow
 def test_a_date_splits_one_log_as_two_files_do(larger, tmp_path):
     old, new = tmp_path / "march.csv", tmp_path / "june.csv"
     for log, path in zip(larger, (old, new), strict=True):
@@ -126,6 +127,7 @@ def test_joints_of_one_log_only_are_named(larger):
     assert "Joint 2 is in the new log only" in str(changes)
 
 
+@pytest.mark.slow
 def test_laws_of_one_s_own_are_compared_over_the_configurations_of_both_logs(larger):
     law = ssf.Law("gamma ~ s*(1 - k*abs(cos(q2)))", units={"s": "nm", "k": "1"})
     changes = detect_changes(*larger, laws={3: law})
@@ -134,6 +136,7 @@ def test_laws_of_one_s_own_are_compared_over_the_configurations_of_both_logs(lar
     assert size.difference.estimate == pytest.approx(0.065, abs=0.015)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("repetitions", [4, pytest.param(400, marks=pytest.mark.nightly)])
 def test_logs_without_a_change_seldom_alarm(make_log, repetitions):
     alarms = sum(

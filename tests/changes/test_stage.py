@@ -39,6 +39,7 @@ def compare(make_log, before, after, laws=None, psi="0"):
     return detect_changes(old, new, laws=laws)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("quantity", "regime", "laws"),
     [
@@ -65,6 +66,7 @@ def test_a_change_of_the_stage_is_read(make_log, quantity, regime, laws):
     assert f"{regime} steps" in summarize_changes(changes).headline[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("quantity", "factor"),
     [
@@ -99,6 +101,7 @@ def test_both_logs_have_one_lambda(make_log):
     assert changes.laws[3].ratios == (0.5, 0.5)
 
 
+@pytest.mark.slow
 def test_a_change_of_one_direction_alone_is_no_change_of_the_stage(make_log):
     changes = detect_changes(make_log(6), make_log(6, month=4, seed=1, change=0.1))
     assert changes.significant

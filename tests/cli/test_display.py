@@ -113,6 +113,7 @@ def test_the_example_of_a_plan_can_be_used(run, tmp_path):
     assert "--example makes a plan" in run("plan", REFERENCE, "--example")[2]
 
 
+@pytest.mark.slow
 def test_the_example_of_a_stage_can_be_used(run, tmp_path):
     stage, chart = tmp_path / "stage.toml", tmp_path / "step.svg"
     assert run("step", "--example", "-o", stage)[0] == 0
@@ -140,6 +141,7 @@ def test_without_a_terminal_progress_is_a_line_now_and_then(monkeypatch, capsys,
     assert capsys.readouterr().err.splitlines()[-2:] == lines
 
 
+@pytest.mark.slow
 def test_fit_says_where_residuals_scatter_more_than_replicates(run, campaign, tmp_path):
     """A bend of one joint's response that its replicates have in common."""
     table = campaign(("2012-03-05", "2012-03-06"), replicates=3)

@@ -80,6 +80,7 @@ def test_most_is_in_the_part_that_the_functions_have(tmp_path, own, mode):
     assert found[own, mode].sum() > 0.6 * sum(map(np.sum, found.values()))
 
 
+@pytest.mark.slow
 def test_it_is_the_average_over_all_forms_by_their_dense_covariances(tmp_path):
     """Evidence by determinants of (n, n) matrices, the noise estimated, of every form and strength."""
     rng = np.random.default_rng(5)

@@ -18,6 +18,7 @@ def baseline_of(**effect):
     return problem, reestimate_noise(problem)
 
 
+@pytest.mark.slow
 def test_where_nothing_is_wrong_the_evidence_is_that_in_the_noise_it_was_estimated_with():
     problem, baseline = baseline_of()
     assert baseline.misfit is not None
@@ -27,6 +28,7 @@ def test_where_nothing_is_wrong_the_evidence_is_that_in_the_noise_it_was_estimat
     assert baseline.misfit.log_evidence_by_cause == pytest.approx(anew.log_evidence_by_cause, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_beside_an_effect_the_noise_is_smaller_and_its_evidence_another():
     problem, baseline = baseline_of(effects=("thermal-warm-up",), strength=25.0)
     assert baseline.misfit is None

@@ -90,6 +90,7 @@ def diagnosis(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
     return make_log(tmp_path_factory.mktemp("voltage"), seed=3, effect=0.05)
 
 
+@pytest.mark.slow
 def test_the_other_forms_of_a_cause_do_not_describe_the_structure_beside_it(diagnosis: Diagnosis) -> None:
     """It is found under the structure's covariance, under which its shapes have a part of the structure."""
     selection = diagnosis.selection
@@ -102,6 +103,7 @@ def test_the_other_forms_of_a_cause_do_not_describe_the_structure_beside_it(diag
     assert (np.abs(np.stack(beside) @ np.stack(before).T).max(axis=1) > 0.99).all()
 
 
+@pytest.mark.slow
 def test_a_test_beside_structure_is_not_repeated_by_linear_algebra(diagnosis: Diagnosis) -> None:
     """It has evidence for the structure, but none of its shapes."""
     assert prepare_looks(diagnosis.selection, 0.01) is None
@@ -115,6 +117,7 @@ def test_a_cause_does_not_hide_the_structure_beside_which_it_was_found() -> None
     assert finding.term == "k * load * (session time)^2"
 
 
+@pytest.mark.slow
 def test_a_cause_is_named_beside_profiles_four_times_the_noise(diagnosis: Diagnosis) -> None:
     """The voltage, of 12 standard errors if the profiles were known, is nothing within their 22 %."""
     unknown, voltage = diagnosis.findings
@@ -126,6 +129,7 @@ def test_a_cause_is_named_beside_profiles_four_times_the_noise(diagnosis: Diagno
     assert diagnosis.repeatability == pytest.approx(NOISE, rel=0.25)
 
 
+@pytest.mark.slow
 def test_profiles_stay_in_the_law_without_the_cause(diagnosis: Diagnosis) -> None:
     """They would have been found by themselves."""
     worse = Gain(0.06, 0.07, 0.05, -0.02, 0.0, pd.DataFrame())
@@ -137,6 +141,7 @@ def test_profiles_stay_in_the_law_without_the_cause(diagnosis: Diagnosis) -> Non
     assert [one.cause for one in selection.law_causes] == ["unknown"]
 
 
+@pytest.mark.slow
 def test_profiles_alone_are_unknown_and_nothing_else(tmp_path: Path) -> None:
     """What each session and direction has for itself is no cause's."""
     (unknown,) = make_log(tmp_path, seed=7, effect=0.0).findings
@@ -145,6 +150,7 @@ def test_profiles_alone_are_unknown_and_nothing_else(tmp_path: Path) -> None:
     assert unknown.carrier.startswith("position")
 
 
+@pytest.mark.slow
 def test_a_law_for_profiles_has_their_details(tmp_path: Path) -> None:
     """Cosines of up to half the 36 stretches have 0.8 of their variance; smooth profiles need fewer."""
     diagnosis = make_log(tmp_path, seed=6, effect=0.0, profile=stretches, noise=0.005)
@@ -176,6 +182,7 @@ def test_rates_beside_profiles(tmp_path: Path) -> None:
     assert sum({*causes} == {"supply-voltage", "unknown"} for causes in found[20:]) >= 16
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("other", "strength", "design", "seed", "named"),
     [

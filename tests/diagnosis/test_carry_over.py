@@ -45,6 +45,7 @@ def law(found):
     return found.extended_law()
 
 
+@pytest.mark.slow
 def test_it_is_unknown_with_the_carry_over_as_its_term_and_nothing_besides(found, hidden):
     (finding,) = found.findings
     assert (finding.cause, finding.carrier) == ("unknown", "memory-by-direction, + only")
@@ -64,6 +65,7 @@ def test_its_size_has_in_it_what_calibration_absorbed_of_the_departures_before(s
     assert finding.effect.low < hidden.truth["effects"][0]["effect_rms_pct"] / 100 < finding.effect.high
 
 
+@pytest.mark.slow
 def test_the_law_predicts_a_replicate_from_the_counts_before(law, logs, hidden):
     fresh = hidden[1]
     predicted = np.log(law.predict(logs[1].rows)["steps"].to_numpy())
@@ -71,6 +73,7 @@ def test_the_law_predicts_a_replicate_from_the_counts_before(law, logs, hidden):
     assert saved > 0.7 * (rms(fresh, baseline(hidden[0])) - rms(fresh, true_form(*hidden)))
 
 
+@pytest.mark.slow
 def test_each_prediction_is_that_without_carry_over_and_a_share_of_the_departure_before(law, logs):
     rows = logs[1].rows
     plain = law.si.predict(rows.drop(columns="steps"))  # a plan, whose traverses have no counts before them
@@ -86,6 +89,7 @@ def test_each_prediction_is_that_without_carry_over_and_a_share_of_the_departure
     assert np.std(np.log(predicted["steps"] / plain["steps"])) > 1e-3
 
 
+@pytest.mark.slow
 def test_a_traverse_whose_predecessor_is_not_among_the_rows_is_expected_not_to_follow(law, logs):
     rows = logs[1].rows
     plain = law.si.predict(rows.drop(columns="steps"))["steps"]
@@ -93,6 +97,7 @@ def test_a_traverse_whose_predecessor_is_not_among_the_rows_is_expected_not_to_f
     pd.testing.assert_series_equal(law.si.predict(every_other)["steps"], plain.iloc[::2])
 
 
+@pytest.mark.slow
 def test_a_saved_law_predicts_the_same(law, logs, tmp_path):
     law.save(tmp_path / "law.json")
     assert law.provenance.log_files == logs[0].files  # not as changed

@@ -24,6 +24,7 @@ def read_with_temperature(change, seed, empty=0, joints=(3,)):
     return read_hidden(replace(hidden, table=table))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.nightly)])
 def test_empty_cells_of_a_slow_temperature_do_not_hide_it(seed):
     """With the column's mean in them a few rows are far off, and any function of time is likelier."""
@@ -35,6 +36,7 @@ def test_empty_cells_of_a_slow_temperature_do_not_hide_it(seed):
     assert slope.size.low < 0.01 < slope.size.high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [5, pytest.param(6, marks=pytest.mark.nightly)])
 def test_an_effect_that_saturates_is_told_and_predicted_with_its_bend(seed):
     # Of one joint alone a curve of its own may be likelier.
@@ -47,6 +49,7 @@ def test_an_effect_that_saturates_is_told_and_predicted_with_its_bend(seed):
     assert "where it is cold" in str(found.summary())
 
 
+@pytest.mark.slow
 def test_what_no_equation_describes_is_a_curve_of_its_own():
     """A threshold: by the straight or gently curved equation a third of the effect would be left."""
     log = read_with_temperature(lambda k: 0.02 * np.tanh((k + 1.0) / 0.5), 5)

@@ -85,6 +85,7 @@ def test_memory_is_judged_by_the_likelihood_of_what_calibration_leaves(rows, lin
     assert found == pytest.approx(best(root @ root.T) - best(np.eye(n)), rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("uneven", [pytest.param(False, marks=pytest.mark.nightly), True])
 def test_the_p_value_is_even_where_nothing_is_wrong(rows, linearize, uneven):
     """150 logs under heavy tails, twice the noise in two configurations of five."""
@@ -133,6 +134,7 @@ def test_what_is_left_under_a_refitted_cause_does_not_show_it_again(rows, parts,
     assert np.linalg.norm(after.residual) < 1e-2
 
 
+@pytest.mark.slow
 def test_intervals_of_a_strength_cover_given_the_alarm():
     """10,000 effects of three sizes, seen only where they exceed a threshold."""
     rng, threshold = np.random.default_rng(6), 4.0
@@ -152,6 +154,7 @@ def test_the_tail_of_a_noncentral_chi_square_keeps_its_digits(df):
         assert noncentral_tail(x, df, strength**2) == pytest.approx(ncx2.sf(x, df, strength**2), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_misfires_are_found_and_heavy_tails_are_none(rows, linearize):
     rng = np.random.default_rng(7)
     drive = (rows["direction"] == "-").to_numpy().astype(np.intp)

@@ -10,6 +10,7 @@ from stickslip_fit.errors import InputError
 from tests.diagnosis.conftest import ALPHA
 
 
+@pytest.mark.slow
 def test_the_gain_is_measured_afterwards_as_well(drifting):
     """In one step and in two."""
     one_joint = drifting.select((drifting.rows["joint"] == 3) & (drifting.rows["session"] == "2012-03-05"))

@@ -63,6 +63,7 @@ def truths(hidden):
     return {one["name"].split(":")[0]: one["effect_rms_pct"] / 100 for one in effects}
 
 
+@pytest.mark.slow
 def test_a_cause_and_structure_beside_it_have_their_own_sizes(both):
     hidden, found = both
     size, truth = sizes(found.findings), truths(hidden)
@@ -72,6 +73,7 @@ def test_a_cause_and_structure_beside_it_have_their_own_sizes(both):
         assert size[name].high - size[name].low < 0.6 * true
 
 
+@pytest.mark.slow
 def test_each_has_the_effect_that_it_has_in_the_law_with_the_other(both):
     _, found = both
     selection, changes = found.selection, {}
@@ -86,6 +88,7 @@ def test_each_has_the_effect_that_it_has_in_the_law_with_the_other(both):
     assert len(changes) == 2
 
 
+@pytest.mark.slow
 def test_what_the_choice_of_a_law_leaves_open_adds_to_errors_alone(both):
     """As a parameter of its own, a choice that nearly does what the structure does would stand for it."""
     hidden, found = both

@@ -56,6 +56,7 @@ def read(tmp_path):
     return make
 
 
+@pytest.mark.slow
 def test_a_resonance_is_in_the_law_and_predicts_a_replicate(read, tmp_path):
     """Of 1.72 % rms, noise and all, log(period) alone would leave 1.69."""
     log, fresh = read(resonance, 1), read(resonance, 2)
@@ -74,6 +75,7 @@ def test_a_resonance_is_in_the_law_and_predicts_a_replicate(read, tmp_path):
     assert found.gain.low > 0.5 * (found.gain.baseline - found.gain.extended)
 
 
+@pytest.mark.slow
 def test_a_large_effect_of_the_causes_own_equation_keeps_it(read):
     """Linearized, a function of the column fits its logarithm better."""
     (finding,) = ssf.diagnose(read(proportional, 1), gain=False).findings

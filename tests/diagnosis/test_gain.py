@@ -79,6 +79,7 @@ def gained(whole):
     return whole.baseline - whole.extended
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("design", ["session", "thesis", "many"])
 def test_folds_hold_out_each_configuration_whole_and_once_and_every_parameter_stays_known(problem, design):
     own_problem = problem(hide(design, seed=3))
@@ -118,6 +119,7 @@ def test_a_kind_that_no_fold_takes_leaves_the_folds_of_the_others_as_they_are():
     assert np.ptp([len(split.held_out) for split in whole]) <= 3
 
 
+@pytest.mark.slow
 def test_folds_are_the_same_whichever_configurations_seem_noisier(problem):
     selection = select_causes(problem(hide("many", seed=3)), ALPHA, N_BOOTSTRAP, _rng())
     own, ratio = selection.problem, _rng().choice([1.0, 1.4], selection.problem.configuration.max() + 1)
@@ -126,6 +128,7 @@ def test_folds_are_the_same_whichever_configurations_seem_noisier(problem):
         np.testing.assert_array_equal(one.held_out, again.held_out)
 
 
+@pytest.mark.slow
 def test_a_cause_that_is_selected_again_in_another_version_is_fitted_in_that(problem, monkeypatch):
     """It kept the fit of the version before, with as many parameters as that has."""
     own_problem = problem(hide("session", ("drift", "end-stop-latency"), 20, seed=4))
@@ -167,6 +170,7 @@ def test_causes_stay_known_in_what_is_left(problem):
     assert least_left(make_folds(study, kinds, _rng(), effects)) >= 5.0
 
 
+@pytest.mark.slow
 def test_the_traverses_beside_a_lasting_change_stay_in_training(problem):
     """Which of the two it lies between is a guess without either."""
     hidden = hide("session", ("session-jump",), 25, seed=3, forms={"session-jump": "table"})
@@ -201,6 +205,7 @@ def test_structure_without_a_name_stays_known_in_each_joint():
         assert (squares(split.train)[shown] > 0.9 * least[shown]).all()  # rows count alike in the folds
 
 
+@pytest.mark.slow
 def test_what_is_held_out_has_no_part_in_its_own_prediction(problem):
     hidden = hide("session", ("drift",), 14, seed=3)
     selection = select_causes(problem(hidden), ALPHA, N_BOOTSTRAP, np.random.default_rng(0))
@@ -264,6 +269,7 @@ def test_the_number_of_processes_makes_no_difference(problem, monkeypatch, limit
     assert (one.baseline, one.extended, one.low, one.high) == (two.baseline, two.extended, two.low, two.high)
 
 
+@pytest.mark.slow
 def test_each_finding_gains_its_step_and_steps_add_up(two_causes):
     selection, found = two_causes
     splits = splits_of(selection)[:1]
@@ -277,6 +283,7 @@ def test_each_finding_gains_its_step_and_steps_add_up(two_causes):
     assert whole.by_session["traverses"].sum() == sum(len(split.held_out) for split in splits)
 
 
+@pytest.mark.slow
 def test_what_stands_for_a_withdrawn_finding_counts_in_no_other(two_causes):
     """Neither a cause of its own name nor what a split has in its place, which may predict badly."""
     selection, found = two_causes
@@ -325,6 +332,7 @@ def test_what_a_fold_finds_besides_stands_for_nothing(selected, expected):
     assert match_findings([Choice(one) for one in selected], findings) == expected
 
 
+@pytest.mark.slow
 def test_rows_on_which_the_laws_alone_stall_say_nothing_of_a_cause(problem):
     own_problem = problem(hide("session", ("drift",), 20, seed=4))
     selection = select_causes(own_problem, ALPHA, N_BOOTSTRAP, _rng())

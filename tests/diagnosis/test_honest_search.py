@@ -28,6 +28,7 @@ def diagnose(frame, *causes, **options):
     return ssf.diagnose_table(frame, "F ~ F0 + Fv*v", causes=causes, gain=False, generic_causes=(), **options)
 
 
+@pytest.mark.slow
 def test_a_cause_that_cannot_be_as_large_as_what_it_would_explain_is_not_named():
     """Over whole turns a runout has next to no effect, whose slope is that of anything else."""
     case = OutsideCase(
@@ -48,6 +49,7 @@ def bump(**options):
 BOUNDED = {"Fs": (0.0, 5.0), "vs": (0.1, 1.0)}
 
 
+@pytest.mark.slow
 def test_a_cause_whose_best_fit_is_outside_its_bounds_is_not_named():
     found = diagnose(stribeck(-0.3), bump(bounds=BOUNDED))
     assert "stribeck" not in [finding.cause for finding in found.findings]
@@ -101,6 +103,7 @@ def search_ripple(f, highest):
     return ssf.diagnose_table(rippled(f), "y ~ a + b*x", causes=[cause], gain=False, generic_causes=())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("f", [2.3, 3.1, 3.9])
 def test_a_grid_is_as_fine_as_the_effect_asks_for(f):
     """With the 9 places that a grid begins with, none of these is found."""
@@ -140,6 +143,7 @@ class NoRoot(Root):
     trial_values = ((0.01, 0.5),)
 
 
+@pytest.mark.slow
 def test_trials_whose_effects_are_no_numbers_are_told(table, read_table):
     found = ssf.diagnose(read_table(table, "root.csv"), causes=[Root(), NoRoot()], gain=False)
     (note,) = found.notes
@@ -162,6 +166,7 @@ def test_eigenvalues_that_do_not_converge_drop_a_trial(monkeypatch):
     assert make_hypothesis("cause", None, None, effects) is None
 
 
+@pytest.mark.slow
 def test_a_cause_whose_eigenvalues_do_not_converge_is_dropped_with_a_note(monkeypatch):
     bases = ssf.Cause("two", "+ a*sin(x) + b*cos(x)", "a, b")
     assert diagnose(stribeck(0.3), bases).untestable == {}

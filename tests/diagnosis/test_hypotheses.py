@@ -40,6 +40,7 @@ def extend(hidden, name, joints=(1, 2, 3)):
     return extended, linearized
 
 
+@pytest.mark.slow
 def test_functions_of_each_session_explain_no_more_than_there_is():
     """Also beside a cause that the sessions share, and its other forms."""
     extended, linearized = extend(hide("thesis", ("inertia-quadratic",), 12.0, seed=1), "inertia-quadratic")
@@ -51,6 +52,7 @@ def test_functions_of_each_session_explain_no_more_than_there_is():
         assert np.all(explained <= np.sum(residual**2, axis=0) * (1 + 1e-9))
 
 
+@pytest.mark.slow
 def test_a_wave_is_described_by_its_slower_period_where_traverses_go_to_and_fro():
     """Of the thesis' plan; where directions come in no order, all periods down to two traverses differ."""
     for design, fastest in (("thesis", 4.0), ("session", 2.0)):
@@ -70,6 +72,7 @@ def test_a_wave_is_described_by_its_slower_period_where_traverses_go_to_and_fro(
             assert likeliest.period == pytest.approx(1 / 0.04, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "design", ["session", *(pytest.param(one, marks=pytest.mark.nightly) for one in ("thesis", "many"))]
 )
@@ -87,6 +90,7 @@ def test_directions_have_length_1_and_none_is_of_the_calibration(design):
             assert np.abs(products - np.eye(len(products))).max() < 1e-6, one.cause
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [1, 7])
 def test_the_evidence_of_many_waves_at_once_is_that_of_each(part):
     """Alike and opposite by direction, of each session; all of them, and a few of each stack."""
@@ -116,6 +120,7 @@ def find_evidence(directions, share, residuals, df):
     return np.logaddexp.reduce(log) - np.log(len(STRENGTHS))
 
 
+@pytest.mark.slow
 def test_a_jump_in_one_session_is_no_uneven_noise():
     hidden = hide("many", ("psi-offset", "session-jump"), 14.0, "t5", seed=15)
     bare = replace(hidden, table=drop_lab_columns(hidden.table))

@@ -213,6 +213,7 @@ def diagnose_with(effect, design, joints):
     return diagnose(read_with(effect, design, joints), gain=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "design", "joints", "carriers"),
     [
@@ -237,6 +238,7 @@ def test_what_steps_follow_is_found(effect, design, joints, carriers):
     assert {*found.findings[0].version.carriers} == carriers, found.summary().headline
 
 
+@pytest.mark.slow
 def test_a_payload_that_is_kept_is_a_condition_of_a_law_that_follows_its_changes():
     law = diagnose_with(settling, "session", (2, 3)).extended_law()
     conditions = parse_conditions(["payload_g=20"], law, "--condition")
@@ -247,12 +249,14 @@ def test_a_payload_that_is_kept_is_a_condition_of_a_law_that_follows_its_changes
         parse_conditions(["supply_V=60"], law, "--condition")
 
 
+@pytest.mark.slow
 def test_a_tilt_is_no_condition_of_a_law_that_follows_its_changes():
     law = diagnose_with(giving_way, "thesis", (2, 3)).extended_law()
     with pytest.raises(InputError, match="nothing beside positions and angles; leave psi_deg out"):
         parse_conditions(["psi_deg=0"], law, "--condition")
 
 
+@pytest.mark.slow
 def test_steps_that_a_column_adds_to_counts_are_told_from_a_step_size_that_follows_it():
     log, fresh = (read_with(late_by_supply, "many", (3,), 4, replicate) for replicate in (0, 1))
     found = diagnose(log, gain=False)
@@ -265,6 +269,7 @@ def test_steps_that_a_column_adds_to_counts_are_told_from_a_step_size_that_follo
     assert np.sqrt(np.mean(error**2)) < 0.004
 
 
+@pytest.mark.slow
 def test_what_happens_at_a_time_of_day_is_found_and_predicted_on_a_day_that_begins_at_another():
     """Sessions begin up to an hour and a half apart; of one session it would be a function of its time."""
     log, fresh = (read_with(neighbours, "many", (2, 3), 4, replicate) for replicate in (0, 1))
@@ -297,6 +302,7 @@ def test_where_sessions_begin_alike_the_time_of_day_is_that_in_the_session():
     assert "time_of_day" not in name_carriers(replace(log, rows=add_history(alike)))
 
 
+@pytest.mark.slow
 def test_a_wave_faster_than_two_traverses_is_found_where_they_come_at_uneven_intervals():
     found = diagnose_with(fast_pump, "many", (2, 3))
     assert [one.carrier for one in found.findings] == ["period of 3.0 min"]
@@ -317,11 +323,13 @@ def test_what_comes_and_goes_within_minutes_is_a_function_of_time_and_not_memory
     assert np.sqrt(np.mean(error**2)) < 0.004  # of 0.0029 of noise; by memory 0.0048
 
 
+@pytest.mark.slow
 def test_two_waves_are_found_in_one_session():
     found = diagnose_with(two_pumps, "session", (2, 3))
     assert {one.carrier for one in found.findings} == {"period of 10.7 min", "period of 8.6 min"}
 
 
+@pytest.mark.slow
 def test_a_wave_may_change_its_size_and_phase():
     """Of 0.63 % rms a wave of one phase, with a second one beside it, leaves 0.45, of noise 0.31."""
     log, fresh = (read_with(drifting_pump, "session", (2, 3), 7, replicate) for replicate in (0, 1))
@@ -333,6 +341,7 @@ def test_a_wave_may_change_its_size_and_phase():
     assert np.sqrt(np.mean(error**2)) < 0.0039
 
 
+@pytest.mark.slow
 def test_a_wave_by_load_is_that_of_the_joint_that_has_it():
     found = diagnose_with(pump_by_load, "thesis", (2, 3))
     (finding,) = found.findings
@@ -341,6 +350,7 @@ def test_a_wave_by_load_is_that_of_the_joint_that_has_it():
     assert "Joint 3's steps come and go with a period of 17.3 min in proportion to the load" in text
 
 
+@pytest.mark.slow
 def test_a_wave_of_one_joint_is_found_in_what_seems_its_noise():
     found = diagnose_with(pump_of_one_joint, "session", (2, 3))
     (finding,) = found.findings
@@ -348,6 +358,7 @@ def test_a_wave_of_one_joint_is_found_in_what_seems_its_noise():
     assert "minutes into a period of 13" in {axis.get_xlabel() for axis in found.plot().flat}
 
 
+@pytest.mark.slow
 def test_recent_use_is_told_as_warmth():
     found = diagnose_with(warmth, "session", (2,))
     text = " ".join(found.summary().headline)

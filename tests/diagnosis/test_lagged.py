@@ -29,6 +29,7 @@ def test_the_filter_is_that_of_a_body_that_follows_its_surroundings():
         np.testing.assert_allclose(one[:10], own[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("follows", [True, pytest.param(False, marks=pytest.mark.nightly)])
 def test_a_column_that_steps_follow_late_is_told_with_its_lag(follows):
     hidden = hide("thesis", seed=4)

@@ -142,6 +142,7 @@ def test_where_nothing_but_memory_is_left_to_test_its_evidence_is_that_without_t
     assert Look(assess(only)).without(rows).log_evidence == pytest.approx(expected.log_evidence, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_hypotheses_that_are_far_behind_need_not_be_tested_anew():
     """In the test that names a cause and in the one that shows nothing more, the answers stay the same."""
     log = read_hidden(hide("session", ("drift",), 14, seed=3))
@@ -189,6 +190,7 @@ def confirm_search(looks, split, findings):
     return selected and predict_held_out(looks.selection.problem, split, findings, selected)
 
 
+@pytest.mark.slow
 def test_held_out_errors_are_those_of_the_whole_selection_repeated(problem):
     selection = select_causes(problem, ALPHA, 1000, np.random.default_rng(0))
     findings = size_findings(selection, selection.problem, ALPHA)
@@ -203,6 +205,7 @@ def test_held_out_errors_are_those_of_the_whole_selection_repeated(problem):
     assert np.sqrt(np.mean((confirmed[1] - repeated[1]) ** 2)) < 0.1 * after
 
 
+@pytest.mark.slow
 def test_a_law_for_unknown_structure_is_searched_anew_in_each_fold():
     """Without the search for causes, whose answer is clear; as in the search repeated."""
     log = hide("session", ("unknown:product",), 25, seed=5, forms={"unknown:product": "load and hours"})
@@ -310,6 +313,7 @@ def test_several_causes_are_those_of_the_whole_selection_repeated():
     assert prepare_looks(replace(selection, selected=(second,)), ALPHA) is None  # another was first
 
 
+@pytest.mark.slow
 def test_a_moment_of_change_is_chosen_without_the_rows_held_out():
     log = read_hidden(hide("session", ("session-jump",), 25, seed=4))
     causes = [cause for cause in library() if cause.name in (*FEW, "session-jump")]

@@ -108,6 +108,7 @@ def test_a_single_short_session_confuses_drift_warm_up_and_wear_and_several_long
     assert long.strength_needed(one, other) < 8
 
 
+@pytest.mark.slow
 def test_side_load_and_a_bent_response_need_many_loads():
     few, _ = of_plan(GUIDE_CALIBRATION + HALF_LOADS)
     many, _ = of_plan(GUIDE_CALIBRATION + MANY_LOADS)
@@ -116,6 +117,7 @@ def test_side_load_and_a_bent_response_need_many_loads():
     assert many.strength_needed("side-load", "load-nonlinearity") < 14
 
 
+@pytest.mark.slow
 def test_only_recoil_tells_an_offset_of_psi_from_one_of_q2():
     arm, _ = of_plan(ARM)
     both, _ = of_plan(ARM + GUIDE_CALIBRATION + BETWEEN)
@@ -125,6 +127,7 @@ def test_only_recoil_tells_an_offset_of_psi_from_one_of_q2():
     assert both.are_separable("psi-offset", "q2-offset")
 
 
+@pytest.mark.slow
 def test_a_plan_says_what_it_cannot_see():
     at_q1_0, _ = of_plan(GUIDE_CALIBRATION + MANY_LOADS)
     turned, _ = of_plan(GUIDE_CALIBRATION + TURNED)
@@ -151,6 +154,7 @@ def test_confusion_is_how_often_noise_makes_one_shape_look_like_the_other():
     assert found.confusion("drift", "wear", 8.0) == pytest.approx(wrong, abs=0.012)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effect", ["drift", "psi-offset", pytest.param("side-load", marks=pytest.mark.nightly)]
 )
@@ -164,6 +168,7 @@ def test_sizes_and_strengths_are_those_of_logs_that_hide_the_effect(effect):
     assert size * found.detectability(effect).per_size == pytest.approx(8.0, rel=0.15)
 
 
+@pytest.mark.slow
 def test_nine_in_ten_logs_raise_the_alarm_at_the_smallest_size():
     found, problem = of_plan(GUIDE_CALIBRATION + MANY_LOADS)
     study = problem.linearize()

@@ -201,6 +201,7 @@ def test_drift_warm_up_and_wear_are_told_apart_by_a_later_traverse():
     assert find_inseparable_pairs(doubtful.findings, traverses) == ()
 
 
+@pytest.mark.slow
 def test_nothing_is_proposed_where_nothing_is_left_to_tell_apart():
     diagnosis = diagnosis_of("session", "drift", 12.0)
     sure = left_with(diagnosis, "drift", [])
@@ -208,6 +209,7 @@ def test_nothing_is_proposed_where_nothing_is_left_to_tell_apart():
     assert find_inseparable_pairs(sure.findings, ()) == ()
 
 
+@pytest.mark.slow
 def test_two_names_for_one_thing_are_out_of_reach_of_every_traverse():
     diagnosis = diagnosis_of("session", "drift", 12.0)
     doubtful = left_with(diagnosis, "drift", ["twin", "wear"])
@@ -216,6 +218,7 @@ def test_two_names_for_one_thing_are_out_of_reach_of_every_traverse():
     assert find_inseparable_pairs(doubtful.findings, traverses) == (("drift", "twin"),)
 
 
+@pytest.mark.slow
 def test_the_history_of_what_is_proposed_is_that_of_a_session_with_its_calibration():
     log = log_of("session", "drift", 12.0)
     for each in forecast_candidates(diagnosis_of("session", "drift", 12.0).selection.problem, log.machine):
@@ -246,6 +249,7 @@ def whole_guide():
     return diagnosis, suggest_traverses(diagnosis, library())
 
 
+@pytest.mark.slow
 def test_what_makes_a_cause_testable_has_what_the_log_lacked(whole_guide):
     diagnosis, missed = whole_guide
     by_cause = {each.cause: each for each in missed}
@@ -257,12 +261,14 @@ def test_what_makes_a_cause_testable_has_what_the_log_lacked(whole_guide):
     assert np.isfinite(by_cause["guide-gradient"].traverse.start)
 
 
+@pytest.mark.slow
 def test_a_column_that_nobody_wrote_down_takes_more_than_a_traverse(whole_guide):
     (humidity,) = (each for each in whole_guide[1] if each.cause == "humidity")
     assert humidity.traverse is None
     assert "humid" in humidity.shows_best
 
 
+@pytest.mark.slow
 def test_what_takes_least_time_comes_first(whole_guide):
     seconds = [each.seconds for each in whole_guide[1]]
     assert seconds == sorted(seconds)

@@ -71,6 +71,7 @@ def test_an_effect_does_not_hide_behind_its_own_signs(rows, linearize):
     assert found.p_value == 1 / 2000
 
 
+@pytest.mark.slow
 def test_what_two_traverses_show_has_to_exceed_the_heaviest_tails(rows, linearize):
     """100 logs of such tails, and any two neighbours for a shape; then two of them are far off."""
     rng, n = np.random.default_rng(3), len(rows)
@@ -107,6 +108,7 @@ def test_configurations_that_repeat_worse_are_found_and_effects_are_not_taken_fo
     assert np.all(shifted.heteroscedasticity.ratio == 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tails", "seen"), [(np.inf, True), (5.0, False)])
 def test_a_wild_count_is_one_where_the_others_are_tame(rows, parts, tails, seen):
     """The same count, 7 standard deviations off, among 799 with thin and with heavy tails."""
@@ -124,6 +126,7 @@ def test_a_wild_count_is_one_where_the_others_are_tame(rows, parts, tails, seen)
     assert not seen or found.rows.tolist() == [77]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("one_way", [False, True])
 @pytest.mark.parametrize("logs", [40, pytest.param(100, marks=pytest.mark.nightly)])
 def test_memory_is_as_large_as_calibration_leaves_it(rows, parts, one_way, logs):
@@ -225,6 +228,7 @@ def test_a_weighted_mean_is_as_uncertain_as_its_expected_variances_say(spread):
     assert np.mean(np.abs(standardize(expected)) < 1.96) == pytest.approx(0.95, abs=0.015)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("df", [1, pytest.param(5, marks=pytest.mark.nightly), 20])
 def test_noise_is_told_by_as_many_rows_as_the_law_leaves(rows, parts, df):
     """Over 60 logs of laws that follow some rows much closer than others."""

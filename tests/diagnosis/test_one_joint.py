@@ -33,6 +33,7 @@ def read_changed(change, seed):
     return read_hidden(replace(hidden, table=table), (2, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joint", "seed"),
     [(3, 4), pytest.param(2, 5, marks=pytest.mark.nightly), pytest.param(3, 6, marks=pytest.mark.nightly)],

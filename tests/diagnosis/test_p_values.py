@@ -25,6 +25,7 @@ from stickslip_fit.diagnosis.selection import MAX_EXCEEDANCES, allocate_alpha
 from tests.diagnosis.conftest import NOISE
 
 
+@pytest.mark.slow
 def test_a_small_p_value_is_that_of_heavy_tails_where_noise_has_them(rows, linearize):
     """A chance coincidence of two large residuals: signs alone take it for structure five times as often."""
     windows = np.repeat(np.eye(20), 10, axis=0)
@@ -131,6 +132,7 @@ def test_the_tails_of_residuals_have_the_probabilities_of_their_likelihoods(df, 
         assert TAIL_DF[np.argmax(probability)] == (5.0 if df < 5 else min(df, 200.0))
 
 
+@pytest.mark.slow
 def test_a_log_from_which_rows_were_set_aside_needs_twice_the_evidence(drifting):
     """The same residuals; the share of bootstrap samples counts twice, of twice as many."""
     whole, _ = problem_from_log(drifting)

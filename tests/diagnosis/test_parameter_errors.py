@@ -113,6 +113,7 @@ def test_laws_that_stall_without_their_causes_are_linearized_about_their_own_val
     np.testing.assert_allclose(found.residual, same.residual, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_no_interval_reaches_beyond_a_parameter_s_bounds():
     """The steps after which wear slows down are known to within a factor of ten, and are never negative."""
     (finding,) = diagnose(read_hidden(hide("session", ("wear",), 9.0, seed=0), (2,)), gain=False).findings

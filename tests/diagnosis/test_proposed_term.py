@@ -124,6 +124,7 @@ def test_every_known_cause_has_its_share_and_gains_less_than_the_term(found):
     assert np.isfinite(table[["error", "gain"]]).all(axis=None)
 
 
+@pytest.mark.slow
 def test_a_term_that_does_not_predict_better_leaves_the_law_and_unknown_stays(found):
     (finding,) = found.findings
     worse = Gain(0.004, 0.0041, 0.003, -0.001, 0.001, found.residuals)
@@ -166,6 +167,7 @@ def test_a_function_of_an_earlier_version_is_refused(hidden_logs):
         restore(described, hidden_logs[0].machine)
 
 
+@pytest.mark.slow
 def test_directions_that_hypotheses_share_are_evaluated_once_and_right(linearized):
     hypotheses = build_smooth_alternatives(linearized)
     directions = sum(len(group.directions) for group in group_directions(hypotheses))
@@ -211,12 +213,14 @@ def test_an_alternative_has_the_effects_of_the_law_that_it_becomes(linearized, a
     assert difference < allowed * np.linalg.norm(covariance)
 
 
+@pytest.mark.slow
 def test_nothing_unknown_has_nothing_to_explain():
     answer = diagnose(read_hidden(hide("session", (), None, "gaussian", (), 2)), gain=False)
     assert answer.verdict == "nothing wrong"
     assert answer.explain_unknown().empty
 
 
+@pytest.mark.slow
 def test_every_coordinate_and_column_has_an_alternative_and_a_recorded_one_none_of_its_causes(linearized):
     rows = linearized.rows
     hypotheses = build_smooth_alternatives(linearized)
@@ -238,6 +242,7 @@ def test_every_coordinate_and_column_has_an_alternative_and_a_recorded_one_none_
     assert all(one.version is not None for one in hypotheses)
 
 
+@pytest.mark.slow
 def test_rows_weigh_as_the_noise_that_was_found(tmp_path):
     """A tenth of the configurations is five times as noisy, and two counts are 30 % off."""
     hidden = hide("thesis", (), 0.0, "configurations", (), 5)
@@ -261,6 +266,7 @@ def test_rows_weigh_as_the_noise_that_was_found(tmp_path):
     assert errors[0] < 0.7 * errors[1]
 
 
+@pytest.mark.slow
 def test_the_size_of_a_single_outlying_count_is_known_within_its_noise():
     """And no better: the interval of one value is not that of values among each other."""
     log = read_hidden(hide("thesis", (), 0.0, "gaussian", (), 5))
@@ -308,6 +314,7 @@ def test_a_function_of_two_carriers_has_more_than_their_lowest_functions(lineari
     assert error < 0.05
 
 
+@pytest.mark.slow
 def test_a_short_term_may_follow_the_traverse_before(linearized, alternatives):
     """As a share of the joint's travel, or of a pause the logarithm; unknown of a first traverse."""
     gap, pause = (linearized.rows[name].to_numpy(float) for name in ("before_gap", "pause"))
@@ -347,6 +354,7 @@ def test_a_term_has_a_size_for_each_direction_where_one_does_not_suffice(by_dire
     assert restore(describe(law), by_direction.machine).causes == law.causes
 
 
+@pytest.mark.slow
 def test_what_pairs_of_places_explain_is_that_of_least_squares(hidden_logs):
     """Also beside a cause whose parameter the directions share, which makes their effects dependent."""
     problem = problem_from_log(hidden_logs[0])[0]
@@ -369,6 +377,7 @@ def test_what_pairs_of_places_explain_is_that_of_least_squares(hidden_logs):
             np.testing.assert_allclose(dictionary.coefficients(place, best, residual), values, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_no_alternative_explains_more_than_there_is_where_much_is_absorbed():
     """Part by part, what joints and directions lose to what is absorbed would count several times."""
     plain = problem_from_log(read_hidden(hide("session", seed=4)))[0].linearize()

@@ -45,6 +45,7 @@ def names_found(cause: str, factor: float, design: str = "many") -> tuple[str, .
     return (findings[0].cause, *findings[0].equivalent) if findings else ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cause", "factor"),
     [("theta-offset", 10.0), pytest.param("recoil-shape", 0.1, marks=pytest.mark.nightly)],

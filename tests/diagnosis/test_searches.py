@@ -10,7 +10,7 @@ from stickslip_fit.causes import library
 from stickslip_fit.diagnosis import diagnose, pipeline
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.combinations import find_needless, revise_causes
-from stickslip_fit.diagnosis.extension import compute_evidence, extend_problem, make_selected
+from stickslip_fit.diagnosis.extension import compute_evidence, extend_problem, fit_causes, make_selected
 from stickslip_fit.diagnosis.noise import Outliers
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.selection import select_causes, widen_selection
@@ -37,6 +37,7 @@ def searches(monkeypatch):
     return sizes
 
 
+@pytest.mark.slow
 def test_outliers_are_the_rows_that_the_last_search_was_made_without(searches, campaign, read_table):
     """Every search asks for another, so that the number of searches ends them."""
     log = read_table(campaign(("2012-03-05",), replicates=1))
@@ -55,6 +56,7 @@ def drift_and_side_load():
     return problem, compute_evidence(problem.linearize(), problem)
 
 
+@pytest.mark.slow
 def test_a_cause_without_which_the_law_is_as_likely_is_needless():
     """Side-load is fitted to noise."""
     problem, misfit = drift_and_side_load()
@@ -64,6 +66,18 @@ def test_a_cause_without_which_the_law_is_as_likely_is_needless():
     assert [one.cause for one in others] == ["drift"]
     assert len(without.fit.values) == 1
     assert len(find_needless(whole, selected, most=1e6)) == len(selected)
+
+
+def test_laws_that_are_fitted_already_are_extended_as_if_they_were_fitted_anew():
+    problem, misfit = drift_and_side_load()
+    selected = [make_selected(misfit, form_cause_set(misfit, name)) for name in ("drift", "side-load")]
+    anew, known = (
+        extend_problem(problem, selected),
+        extend_problem(problem, selected, fit_causes(problem, selected)),
+    )
+    np.testing.assert_allclose(known.fit.values, anew.fit.values, rtol=1e-9)
+    np.testing.assert_allclose(known.problem.scale, anew.problem.scale, rtol=1e-9)
+    assert known.causes == anew.causes
 
 
 @pytest.mark.parametrize("took_its_place", [False, True])
@@ -78,6 +92,7 @@ def test_of_two_causes_that_took_each_other_s_place_neither_is_told_from_the_oth
     assert revised.cause_set.rivals == (("side-load",) if took_its_place else ())
 
 
+@pytest.mark.slow
 def test_start_values_are_those_of_a_refit_of_the_same_form():
     """Another test may have chosen a profile with other coefficients."""
     causes = [cause for cause in library() if cause.name in ("drift", "along-travel")]
@@ -91,6 +106,7 @@ def test_start_values_are_those_of_a_refit_of_the_same_form():
         np.testing.assert_array_equal(selected.start, expected)
 
 
+@pytest.mark.slow
 def test_a_search_is_repeated_for_causes_that_it_could_find_and_no_others():
     """Wear does much of what a hidden drift does; of a side load the last test has what a search says."""
     log = read_hidden(hide("session", ("drift",), 30.0, seed=301))

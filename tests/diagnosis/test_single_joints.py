@@ -75,6 +75,7 @@ def drive(profiles, seed):
     return pd.DataFrame(rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joint", "profile", "cause", "sizes"),
     [

@@ -150,6 +150,7 @@ def test_functions_are_computed_once_however_often_a_model_is_asked(log_problem,
     assert np.all(again != first)
 
 
+@pytest.mark.slow
 def test_changes_need_no_derivatives_by_causes_that_are_in_the_law_already(log_problem, monkeypatch):
     """Fine ones, of which some traverses need more panels than others, have hundreds of parameters."""
     rng, cause = np.random.default_rng(1), WithTheHour(5.0, 0.01)

@@ -88,6 +88,7 @@ def test_a_change_that_takes_some_loads_into_the_other_regime_is_found():
     assert min(fits["friction"].deviance for fits in found.fits) > best["ramp time"].deviance + 30
 
 
+@pytest.mark.slow
 def test_laws_of_more_parameters_are_no_likelier_for_them(read_table):
     """Joint 2's friction-limited law has an inertia in every session, its velocity-limited one none."""
     hidden = drive_stage("many", Stage("velocity"), "friction:humidity", 0.1, seed=16049)
@@ -110,6 +111,7 @@ CASES = {  # change: quantities that it may be, what it is called; rates are in 
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("regime", "change"),
     [
@@ -133,6 +135,7 @@ def test_a_hidden_change_of_a_stage_is_read(read_table, regime, change):
     assert read_size.estimate == pytest.approx(size, abs=4 * error)
 
 
+@pytest.mark.slow
 def test_a_log_of_the_published_law_has_no_change_of_a_stage(campaign, read_table):
     """Its response to load is straight: the physical law does not describe joint 3."""
     table = campaign(("2012-03-05", "2012-03-06"), replicates=2)
@@ -155,6 +158,7 @@ def elbow(tmp_path_factory):
     return found
 
 
+@pytest.mark.slow
 def test_a_law_is_chosen_anew_only_where_it_becomes_another(elbow):
     """A choice that stays the same is no reason to search again, nor is one that the log leaves open."""
     found, machine = elbow, elbow.log.machine
@@ -170,6 +174,7 @@ def test_a_law_is_chosen_anew_only_where_it_becomes_another(elbow):
         assert (chosen({2: open_law}) is None) == is_same
 
 
+@pytest.mark.slow
 def test_what_lambda_leaves_open_of_a_cause_is_no_second_finding(elbow):
     """In each direction by itself; what the cause does in the other regime is in the span of what is open."""
     linearized, (one, *_) = elbow.selection.problem.linearize(), elbow.selection.law_causes
@@ -191,6 +196,7 @@ def test_what_lambda_leaves_open_of_a_cause_is_no_second_finding(elbow):
             assert (left < 1e-6) == is_open
 
 
+@pytest.mark.slow
 def test_the_headline_says_that_one_change_explains_several_findings(elbow):
     one = replace(reading(("friction", 0.5, 0.1), ("mass", 0.5, -0.09)), causes=("session-jump", "wear"))
     said = (

@@ -91,6 +91,7 @@ def stage(stage_log):
     return diagnose(stage_log, gain=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", ["the arm", "a machine of six"])
 def test_every_formula_is_what_it_says(source, tmp_path):
     """A k of 1 in the unit that it is shown in changes steps by that many per cent of the rest."""
@@ -121,6 +122,7 @@ def test_every_formula_is_what_it_says(source, tmp_path):
     assert len(checked) > 50
 
 
+@pytest.mark.slow
 def test_a_slide_has_no_harmonics_whatever_its_number(stage_log, tmp_path):
     six = read_generated(tmp_path, SIX, n=12, cross=(1, 2, 0.0))
     for log, slides in ((stage_log, {"q2"}), (six, {"q2", "q3", "q5"})):
@@ -140,6 +142,7 @@ def test_a_slide_has_no_harmonics_whatever_its_number(stage_log, tmp_path):
         assert turned == {joint for joint in machine.joints if not machine.is_prismatic(joint)}
 
 
+@pytest.mark.slow
 def test_a_term_in_a_slide_is_told_in_mm_and_true_as_told(stage):
     (finding,) = stage.findings
     assert finding.term == "k * q2, joint 1"
@@ -153,6 +156,7 @@ def test_a_term_in_a_slide_is_told_in_mm_and_true_as_told(stage):
     assert told[:, 1] == pytest.approx(size * told[:, 0], abs=0.06)
 
 
+@pytest.mark.slow
 def test_json_and_the_law_have_the_unit_of_k(stage):
     (finding,) = diagnosis_to_json(stage)["findings"]
     (k,) = finding["parameters"]

@@ -144,6 +144,7 @@ def test_what_was_gained_on_held_out_traverses_is_said_where_it_is_known(named):
     )
 
 
+@pytest.mark.slow
 def test_of_nothing_wrong_it_says_what_could_not_have_been_seen(nothing):
     assert nothing.verdict == "nothing wrong"
     said = told(nothing)
@@ -223,6 +224,7 @@ def test_hardly_any_rows_are_no_error(table, read_table, rows):
     assert "too few traverses" in str(diagnosis)
 
 
+@pytest.mark.slow
 def test_as_many_traverses_as_it_asks_for_suffice(table, read_table):
     """Three groups of a session and direction with as many parameters as configurations, and 10 beyond."""
     upright = table[(table["joint"] == 3) & (table["direction"] == "+") & (table["session"] == "2012-03-05")]
@@ -234,6 +236,7 @@ def test_as_many_traverses_as_it_asks_for_suffice(table, read_table):
     assert "too few" in told(diagnose(read_table(upright.head(11 + missing)), alpha=0.1, gain=False))
 
 
+@pytest.mark.slow
 def test_a_constant_column_is_not_testable_and_a_twin_is_told(table, read_table):
     rng = np.random.default_rng(3)
     draught = rng.normal(size=len(table))
@@ -251,6 +254,7 @@ def test_a_constant_column_is_not_testable_and_a_twin_is_told(table, read_table)
     )
 
 
+@pytest.mark.slow
 def test_of_twins_either_may_be_to_blame(guide, read_table):
     draught = np.random.default_rng(3).normal(size=len(guide))
     twins = changed(guide, 0.01 * draught).assign(draught=draught, copy=5.0 - 3.0 * draught)
@@ -330,6 +334,7 @@ def test_a_parameter_that_is_not_known_leaves_the_sentence_true():
     )
 
 
+@pytest.mark.slow
 def test_outliers_are_handed_back(guide, read_table):
     rng = np.random.default_rng(8)
     out = np.sort(rng.choice(len(guide), 3, replace=False))
@@ -346,6 +351,7 @@ def test_outliers_are_handed_back(guide, read_table):
     )
 
 
+@pytest.mark.slow
 def test_repeating_outliers_is_not_credited_with_what_the_law_gains(guide, read_table):
     relative = 0.003 * hours_in(guide)
     relative[[40, 90]] += [0.2, -0.2]
@@ -357,6 +363,7 @@ def test_repeating_outliers_is_not_credited_with_what_the_law_gains(guide, read_
     assert re.match(r"Besides that: .* \(end-stop-misfire\)\.$", third)
 
 
+@pytest.mark.slow
 def test_a_jump_is_told_with_its_moment(table, read_table):
     jump = 0.015 * ((hours_in(table) > 4.0) & (table["session"] == "2012-03-06").to_numpy())
     found = diagnose(read_table(changed(table, -jump), "jump.csv"), alpha=ALPHA, gain=False)

@@ -51,6 +51,7 @@ def departures(profile, truth):
     return (profile.change - (true / true.mean() - 1)) / profile.error
 
 
+@pytest.mark.slow
 def test_the_profile_and_its_extremes_are_those_of_the_motor(tmp_path):
     def truth(places):
         return 1 + bump(places, -0.10, 120, 25) + 0.03 * np.sin(np.radians(places))
@@ -75,6 +76,7 @@ def test_the_profile_and_its_extremes_are_those_of_the_motor(tmp_path):
     assert changes.min() == pytest.approx(-5.8, abs=0.4)
 
 
+@pytest.mark.slow
 def test_each_direction_has_its_own(tmp_path):
     def truth(places, sign, _):
         return 1 + (bump(places, -0.10, 100, 25) if sign > 0 else bump(places, 0.10, 250, 25))
@@ -86,6 +88,7 @@ def test_each_direction_has_its_own(tmp_path):
     assert np.degrees(back.position[np.argmax(back.change)]) == pytest.approx(250, abs=6)
 
 
+@pytest.mark.slow
 def test_a_session_that_stands_out_is_named_and_drawn(tmp_path):
     def truth(places, sign, session):
         return 1 + bump(places, -0.08, 240, 20) * (session == "d2")
@@ -104,6 +107,7 @@ def test_a_session_that_stands_out_is_named_and_drawn(tmp_path):
     assert "session d2" in page
 
 
+@pytest.mark.slow
 def test_no_session_is_named_where_all_have_profiles_of_their_own(tmp_path):
     def truth(places, sign, session):
         return 1 + bump(places, -0.08, {"d1": 80, "d2": 180, "d3": 280}[session], 20)
@@ -142,6 +146,7 @@ def peaked(height):
     return truth
 
 
+@pytest.mark.slow
 def test_steps_that_are_several_times_larger_in_one_place_than_in_another(tmp_path):
     """A sum of cosines leaves a third of this, and is below 0 somewhere, where counts are no numbers."""
     diagnosis = ssf.diagnose(write_log(tmp_path, peaked(0.8)), causes=[AlongTravel()])
@@ -185,6 +190,7 @@ def test_where_a_function_fails_counts_are_no_gross_errors(tmp_path):
     assert float(times[1]) == pytest.approx(diagnosis.gain.extended / diagnosis.gain.noise_floor, abs=0.5)
 
 
+@pytest.mark.slow
 def test_gross_errors_beside_a_profile_are_found_and_told_without_a_time(tmp_path):
     write_log(tmp_path, lambda places, *_: 1 + bump(places, -0.1, 120, 25))
     table = pd.read_csv(tmp_path / "log.csv", dtype={"q1_deg": str})

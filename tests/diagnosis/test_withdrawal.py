@@ -59,6 +59,7 @@ def without_first(two):
     return measured, searched
 
 
+@pytest.mark.slow
 def test_no_search_is_repeated_for_a_cause_that_is_withdrawn(two, without_first):
     """Folds that hold out more, since fewer causes have to stay determined, are searched."""
     measured, searched = without_first
@@ -77,6 +78,7 @@ def test_what_is_withdrawn_is_in_the_law_of_no_fold(two, without_first):
     assert measured.gain.extended < 0.9 * measured.gain.baseline
 
 
+@pytest.mark.slow
 def test_a_cause_that_is_withdrawn_is_told_as_such_wherever_causes_are_listed(two, without_first):
     cause, (measured, _) = two.findings[0].cause, without_first
     assert two.inclusion[cause] > 0.95
@@ -94,6 +96,7 @@ def test_a_cause_that_is_withdrawn_is_told_as_such_wherever_causes_are_listed(tw
     assert diagnosis_to_json(two)["withdrawn"] == []
 
 
+@pytest.mark.slow
 def test_structure_without_a_name_that_may_be_left_is_told_in_text_and_page(two):
     half, unlikely = (replace(two, inclusion=two.inclusion | {UNKNOWN: one}) for one in (0.5, 0.1))
     said = "there may be structure without a name, with a probability of"

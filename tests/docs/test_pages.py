@@ -44,7 +44,7 @@ COPIES = {
     "stickslip_fit.reporting.page.diagnose": "stickslip_fit.diagnosis.diagnose",
     "stickslip_fit.reporting.page.compare_strategies": "stickslip_fit.strategies.compare_strategies",
 }
-# By night: each of these fits, diagnoses or drives what no other page does.
+# Slow: each of these fits, diagnoses or drives what no other page does.
 LONG = (
     "a-law-of-your-own.md",
     "add-a-cause.md",
@@ -54,15 +54,19 @@ LONG = (
     "compare-strategies.md",
     "drive-by-hand.md",
     "extend-the-law.md",
+    "find-out-what-is-wrong.md",
     "laws-and-causes-as-formulas.md",
     "plan-the-next-experiment.md",
+    "predict-and-move.md",
+    "see-which-factors-matter.md",
     "simulate-a-stage.md",
+    "use-it-from-python.md",
     "which-law.md",
     "your-own-instrument.md",
     "your-own-manipulator.md",
 )
 WITH_CODE = [
-    pytest.param(page, marks=pytest.mark.nightly if page.name in LONG else ())
+    pytest.param(page, marks=pytest.mark.slow if page.name in LONG else ())
     for page in PAGES
     if any(fences(page))
 ]

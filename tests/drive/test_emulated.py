@@ -73,6 +73,7 @@ def test_it_is_where_the_manipulator_is(arm, name):
     assert np.all(np.abs(true - drive.q) < 0.4 * step)
 
 
+@pytest.mark.slow
 def test_a_drive_has_one_relative_error_until_a_stop(arm):
     _, laws = extended(arm, "nothing")
     truth = HiddenLaws(laws, arm.machine, Noise(dict.fromkeys(GROUPS, 0.01)), seed=6)

@@ -117,6 +117,7 @@ def go_by_hand(found, number, steps):
         found.loop.controller.step(number, 10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoilt", [False, pytest.param(True, marks=pytest.mark.nightly)])
 def test_all_the_way_from_the_other_stop_is_a_reading(bench, monkeypatch, arm, spoilt):
     """By hand past the middle, then home to the far stop: a count, unless another joint moved meanwhile."""

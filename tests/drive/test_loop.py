@@ -162,6 +162,7 @@ def test_a_limit_holds_the_whole_tip_back_and_lets_it_go_the_other_way(arm):
     assert shown.states[-3].message == ""
 
 
+@pytest.mark.slow
 def test_the_advice_counts_down_to_the_tolerance(arm):
     loop, _, shown = drive_of(arm, [(60.0, joint(3, -60e-6))], tolerance=3e-6)
     loop.run()

@@ -22,6 +22,7 @@ def trace(fitted):
     return ssf.rehearse_drive(fitted, START, LOOP, tolerance=1e-6)
 
 
+@pytest.mark.slow
 def test_the_tip_goes_where_the_script_says(trace):
     """Within a step of a rotary joint along each axis."""
     table = trace.table
@@ -64,6 +65,7 @@ def test_a_faulty_script_is_refused(fitted, script, said):
         ssf.rehearse_drive(fitted, START, script)
 
 
+@pytest.mark.slow
 def test_the_figure_has_the_moment_of_the_first_advice(trace):
     first = trace.table["time_s"][trace.table["advice"] != ""].iloc[0]
     axis = np.ravel(trace.plot())[0]

@@ -49,6 +49,7 @@ def test_a_script_drives_the_emulated_rig(folder):
     assert "Advice: none" in verdict
 
 
+@pytest.mark.slow
 def test_the_tolerance_brings_advice(folder):
     text = drive(folder, *BY_SCRIPT, "--tolerance", "0.2")
     assert re.search(r"Advice: Go back to the [+−] stop of joint \d now: the tolerance is exceeded", text)
@@ -65,6 +66,7 @@ def test_another_truth_is_far_off(folder, tmp_path):
     assert off > 4 * radius
 
 
+@pytest.mark.slow
 def test_a_drive_goes_on_from_its_journal(folder):
     first = drive(folder, *BY_SCRIPT, "--journal", "one.journal")
     second = drive(folder, "--emulate", "--resume", "--journal", "one.journal", "--script", "path.csv")

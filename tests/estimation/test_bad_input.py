@@ -146,6 +146,7 @@ def test_all_steps_equal_over_full_traverses(fit, campaign):
     assert (table["low"] <= table["high"]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", ["least-squares", pytest.param("bayes", marks=pytest.mark.nightly)], indirect=True
 )

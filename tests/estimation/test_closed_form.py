@@ -60,6 +60,7 @@ def test_the_base_may_lie_on_either_side(campaign, read_table):
     assert all(fit.known.all() for fit in result.joints.values())
 
 
+@pytest.mark.slow
 def test_a_missing_traverse_is_named_and_spoils_no_other_parameter(campaign, read_table):
     table = campaign(("2012-03-05",))
     lost = (table.joint == 3) & (table.q2_deg == 0.0) & (table.theta_deg == 0.0)
@@ -74,6 +75,7 @@ def test_a_missing_traverse_is_named_and_spoils_no_other_parameter(campaign, rea
     assert "q2 = 0°, theta = 0°" in message
 
 
+@pytest.mark.slow
 def test_of_many_missing_traverses_what_is_left_keeps_its_error_bars():
     """Every eighth row of a campaign: some loaded traverses stand without their unloaded ones."""
     log = read_log("data/reference/campaign.csv")
@@ -85,6 +87,7 @@ def test_of_many_missing_traverses_what_is_left_keeps_its_error_bars():
     assert np.all(abs(a["estimate"].to_numpy() - truth["estimate"].to_numpy()) < 4 * a["standard_error"])
 
 
+@pytest.mark.slow
 def test_a_gravity_effect_beyond_any_law_is_refused_with_a_reason(campaign, read_table):
     table = campaign(("2012-03-05",))
     odd = (table.joint == 2) & (table.theta_deg == 0.0) & (table.q3_mm == 0.0) & (table.psi_deg == 0.0)
@@ -95,6 +98,7 @@ def test_a_gravity_effect_beyond_any_law_is_refused_with_a_reason(campaign, read
     assert "repeat them" in flag.message
 
 
+@pytest.mark.slow
 def test_accuracy_is_measured_on_traverses_that_calibrated_nothing(campaign, read_table):
     log = read_table(campaign())
     law = fit_closed_form(log)

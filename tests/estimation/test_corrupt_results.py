@@ -168,6 +168,7 @@ def try_many(count, seed, content, plan, tmp_path):
     return numbers
 
 
+@pytest.mark.slow
 def test_results_of_every_version_ever_released_load(plan):
     files = {int(re.search(r"(\d+)\.json$", path.name)[1]): path for path in SAVED.glob("result-*.json")}
     assert sorted(files) == list(range(1, VERSION + 1))
@@ -176,6 +177,7 @@ def test_results_of_every_version_ever_released_load(plan):
         assert load_result(path).joints[3].law.parameters[0].name == "a"
 
 
+@pytest.mark.slow
 def test_damaged_files_end_with_one_message(content, plan, tmp_path):
     numbers = try_many(16, 1, content, plan, tmp_path)
     assert numbers["bytes"] == 4
@@ -267,6 +269,7 @@ def test_lists_nested_deep_are_refused(content, tmp_path, depth):
         load_result(tmp_path / "r.json")
 
 
+@pytest.mark.slow
 def test_a_result_without_a_checksum_is_still_read(content, tmp_path):
     """It may come from elsewhere; all else is checked as ever."""
     del (forged := copy.deepcopy(content))["checksum"]

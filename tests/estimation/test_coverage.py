@@ -55,6 +55,7 @@ def study(estimator, campaign, read_table, sessions, campaigns, seed):
     return np.array([part for part, _ in found]), np.array([part for _, part in found])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
 @pytest.mark.parametrize(
     ("sessions", "campaigns", "seed"),

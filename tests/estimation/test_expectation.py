@@ -50,6 +50,7 @@ def test_a_drive_that_lost_a_quarter_of_its_step_is_told(drifting, fit):
     assert "nm" in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("campaigns", [8, pytest.param(300, marks=pytest.mark.nightly)])
 def test_the_stated_rate_of_surprises_holds(drifting, fit, campaigns):
     """Usual days only: a surprise anywhere in about 1 of 100; parameters move together, so fewer."""
@@ -86,6 +87,7 @@ def test_a_surprise_is_what_a_t_test_of_one_against_all_before_finds(drifting, f
     assert 0 < chart["surprising"].sum() < checked
 
 
+@pytest.mark.slow
 def test_earlier_limits_are_those_that_were_seen_then(drifting, read_table):
     """No session's limits know of a later one."""
     log = read_table(drifting(1.0))

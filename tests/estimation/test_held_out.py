@@ -23,6 +23,7 @@ def misfit(exact, read_table, rng, added=0.0):
     return assess_held_out(log, fit_closed_form(log))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("campaigns", [5, pytest.param(200, marks=pytest.mark.nightly)])
 def test_p_values_are_uniform_where_the_law_holds(exact, read_table, campaigns):
     rng = np.random.default_rng(8)

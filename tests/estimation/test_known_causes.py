@@ -51,6 +51,7 @@ def truly(fitted):
     return told(fitted, [A, TAU, LATE], np.zeros((3, 3)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
 def test_with_the_true_causes_a_quiet_log_gives_the_truth(campaign, tmp_path, truly, estimator):
     """And without them it does not."""
@@ -82,6 +83,7 @@ def test_least_squares_of_as_many_traverses_says_the_same(campaign, tmp_path, tr
     np.testing.assert_allclose(by_fit.values, solved.values, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_least_squares_follows_the_sizes_of_the_causes(campaign, tmp_path, fitted):
     """As fits to causes a little larger and smaller do, of which each has its own error bar."""
     log = hidden(campaign(("2012-03-05",), CALIBRATION_3), tmp_path / "log.csv")
@@ -107,6 +109,7 @@ def test_least_squares_follows_the_sizes_of_the_causes(campaign, tmp_path, fitte
         )
 
 
+@pytest.mark.slow
 def test_the_result_is_one_of_the_extended_law(campaign, tmp_path, fitted):
     """The causes' sizes and error bars come along."""
     log = hidden(campaign(("2012-06-05",)), tmp_path / "log.csv")
@@ -126,6 +129,7 @@ def fit_names(result):
     return result.joints[3].cause_parameters
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
 def test_error_bars_hold_what_is_not_sure_of_the_causes(campaign, tmp_path, fitted, estimator):
     """Many campaigns' causes, drawn from their covariance, each with many days' calibrations."""
@@ -150,6 +154,7 @@ def test_error_bars_hold_what_is_not_sure_of_the_causes(campaign, tmp_path, fitt
     assert np.all((spread > 0.65) & (spread < 1.4)), spread
 
 
+@pytest.mark.slow
 def test_replicates_apart_in_time_do_not_pass_for_noise(campaign, tmp_path, truly):
     """While the drive warms up for hours."""
     log = hidden(campaign(("2012-03-05",), replicates=3), tmp_path / "log.csv", tau=1e4)
@@ -173,6 +178,7 @@ def test_a_cause_that_asks_for_what_is_not_known_leaves_it_unknown(campaign, tmp
     assert fit_closed_form(log).joints[3].known[:, 0].all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
 def test_causes_of_the_very_log_that_is_calibrated_are_said_to_be(campaign, tmp_path, fitted, estimator):
     """Their scatter is no error to expect; of another log it is."""

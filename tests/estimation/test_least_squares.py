@@ -146,6 +146,7 @@ def test_joint_1_at_one_reach_has_constants(campaign, read_table):
     assert table.loc["d_reach_0", "estimate"] * 1e6 == pytest.approx(-1.0 - 0.35 * 37.5, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_profile_intervals_end_where_another_library_puts_them(campaign, read_table):
     """Noise of 15 %, so that the likelihood is asymmetric: fixed at an end, the rest is fitted anew."""
     written = campaign(repeatability=0.15, replicates=1, sessions=("2012-03-05",))
@@ -179,6 +180,7 @@ def test_profile_intervals_end_where_another_library_puts_them(campaign, read_ta
         assert table["differs"][name] == (off > 0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "says"), [(0.15, "differ from the quadratic"), (0.002, "agree with the")])
 def test_who_asks_for_profile_intervals_reads_first_whether_they_differ(campaign, tmp_path, noise, says):
     table = campaign(repeatability=noise, replicates=1, sessions=("2012-03-05",))

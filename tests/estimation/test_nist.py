@@ -47,6 +47,7 @@ def problems():
     return problems
 
 
+@pytest.mark.slow
 def test_every_problem_is_solved_from_the_second_start(problems):
     for problem in problems:
         found = solve(problem, 1)
@@ -60,6 +61,7 @@ def test_every_problem_is_solved_from_the_second_start(problems):
 SLOW = {"Bennett5", "ENSO", "Lanczos1", "Lanczos2", "Lanczos3", "MGH09", "MGH10", "MGH17"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("left_out", "most"),
     [

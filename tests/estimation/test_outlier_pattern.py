@@ -34,6 +34,7 @@ def chosen(places) -> np.ndarray:
     return np.isin(np.arange(N), places)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("repetitions", [30, pytest.param(2000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.nightly), 8])
 def test_isolated_errors_are_seldom_called_a_pattern(rows, count, repetitions):

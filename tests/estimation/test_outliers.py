@@ -74,6 +74,7 @@ def flagged(logs, sessions, each, seed):
     return count
 
 
+@pytest.mark.slow
 def test_heavy_tails_are_no_outliers():
     assert flagged(8, 10, 20, 3) <= 1
 

@@ -54,6 +54,7 @@ def days(count):
     return ", ".join(f"2012-03-{day:02d}" for day in range(5, 5 + count))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("campaigns", [8, pytest.param(1000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
 def test_intervals_hold_the_counts_of_a_plan(planned, estimator, campaigns):
@@ -71,6 +72,7 @@ def test_intervals_hold_the_counts_of_a_plan(planned, estimator, campaigns):
     assert worst >= binom.ppf(0.001 / hits.shape[1], campaigns, 0.95)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("campaigns", [6, pytest.param(300, marks=pytest.mark.nightly)])
 def test_a_function_of_each_logged_session_is_not_that_of_a_session_to_come(planned, campaigns):
     """With that of the latest session the intervals hold a fifth of the counts."""
@@ -140,6 +142,7 @@ def test_a_session_to_come_lies_where_the_campaign_leads_a_posterior_to_expect_i
     assert 0.8 < np.median(widths) / (2 * 1.96 * 0.02) < 2.5
 
 
+@pytest.mark.slow
 def test_a_posterior_predicts_a_fitted_session_far_better_than_one_to_come(planned):
     log = simulate(planned(CALIBRATION, days(4), '["+"]'), truth(day_to_day=0.02), load_machine())
     posterior, then = fit_bayes(log, progress=False), planned(FRESH, "2012-03-20", '["+"]')

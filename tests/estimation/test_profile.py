@@ -56,6 +56,7 @@ def alarms(fit):
     return set(chart.loc[chart["surprising"].astype(bool), "session"])
 
 
+@pytest.mark.slow
 def test_another_stretch_is_no_alarm_but_a_change_still_is(tmp_path):
     log = write_campaign(tmp_path)
     plain = fit_least_squares(log)

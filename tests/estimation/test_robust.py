@@ -5,6 +5,7 @@ from stickslip_fit.estimation import fit_least_squares
 from stickslip_fit.estimation.noise import StudentT
 
 
+@pytest.mark.slow
 def test_a_misheard_end_stop_pulls_little(campaign, read_table):
     table = campaign(seed=4)
     spoilt = table.index[(table.joint == 3) & (table.direction == "+")][[3, 20, 40]]
@@ -41,6 +42,7 @@ def test_maximises_the_likelihood_of_students_t(campaign, read_table):
     assert np.abs(score).max() < 1e-5 * np.sum(np.abs(slopes) * np.abs(pull))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("likelihood", [StudentT(5.0)])
 def test_intervals_cover_under_heavy_tails(campaign, read_table, likelihood):
     sessions = tuple(f"2012-03-{day:02d}" for day in range(1, 13))

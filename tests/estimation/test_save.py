@@ -18,6 +18,7 @@ def log(campaign, read_table):
     return read_table(campaign())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", [fit_closed_form, fit_least_squares])
 def test_a_result_comes_back_as_it_was(log, tmp_path, estimator):
     result = estimator(log, command="stickslip-fit fit")

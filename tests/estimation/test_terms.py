@@ -127,6 +127,7 @@ def test_shared_parameters_are_saved_with_a_null_session_and_come_back(read, tmp
     assert [float(line[3]) for line in lines] == pytest.approx([table["b", "+"], table["b", "-"]], abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("campaigns", [12, pytest.param(400, marks=pytest.mark.nightly)])
 def test_intervals_cover_where_days_share_a_parameter(read, campaigns):
     """b, which is shared, and each day's a and c."""
@@ -172,6 +173,7 @@ def test_a_bound_holds_and_the_others_make_the_best_of_it(read):
     assert any("held back by its bound at 0.2800" in flag.message for flag in result.flags)
 
 
+@pytest.mark.slow
 def test_a_truth_on_its_bound_is_covered(read):
     """Half the estimates are held back, half are free; 95 % of either kind or more reach the truth."""
     inside, held = [], []

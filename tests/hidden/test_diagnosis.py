@@ -66,6 +66,7 @@ def test_the_moment_of_a_jump_is_in_its_interval():
     assert np.median(widths) < 0.2  # of the session
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("design", ["session", pytest.param("many", marks=pytest.mark.nightly)])
 def test_a_column_of_the_labs_own_is_named(design):
     seed = next(seed for seed in range(40) if "covariate" in testable(design, seed, STRONG))
@@ -161,6 +162,7 @@ def test_structure_without_a_name_gives_way_to_causes_that_show_beside_one_anoth
     assert set(found.found) == set(found.truth)
 
 
+@pytest.mark.slow
 def test_drift_and_a_slow_warm_up_in_one_session_cannot_be_told_apart_or_are_told_rightly():
     """Their traces are alike to 0.97 and more there, and the answer says so."""
     hidden = hide("session", ("drift",), 8.0, seed=3, forms={"drift": "table"})

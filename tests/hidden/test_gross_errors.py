@@ -27,6 +27,7 @@ def tally(size, rate, seeds):
     return answers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.nightly)])
 def test_gross_errors_of_a_small_log_are_named_and_nothing_else(seed):
     hidden, rows = make_gross("small", 0.01, seed)
@@ -68,6 +69,7 @@ def places(hidden):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind", ["session", *(pytest.param(kind, marks=pytest.mark.nightly) for kind in ("thesis", "many"))]
 )
@@ -78,6 +80,7 @@ def test_one_doubled_count_is_found_wherever_it_is(kind):
         assert list(find_gross_errors(problem, LEVEL).rows) == [row], place
 
 
+@pytest.mark.slow
 def test_one_doubled_count_at_the_extreme_load_is_no_other_mass():
     """It was taken for a load coefficient of twice its size, with a gain that was a loss."""
     hidden = hide("session", noise="gaussian", seed=11)
@@ -87,6 +90,7 @@ def test_one_doubled_count_at_the_extreme_load_is_no_other_mass():
     assert list(found.findings[0].traverses.index) == [row]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cause", "design"),
     [

@@ -36,6 +36,7 @@ def test_noise_is_called_what_it_is(kind, seed):
     assert findings(kind, seed) == EXPECTED[kind]
 
 
+@pytest.mark.slow
 def test_memory_that_a_function_of_time_describes_as_well_is_told_as_either():
     found = diagnose(read_hidden(make("memory", 7700007)), seed=7700007, gain=False)
     (finding,) = found.findings
@@ -58,6 +59,7 @@ def test_noise_of_one_session_is_called_so_and_the_text_names_the_session():
     assert f" times as large in session {name} as in others" in str(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "seed"),
     [

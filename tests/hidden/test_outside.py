@@ -83,6 +83,7 @@ def test_what_came_before_is_counted_and_measured_as_a_log_tells_it(read):
     assert abs(np.corrcoef(np.exp(-3 * own[~first]), effect)[0, 1]) > 0.99
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "size"),
     [
@@ -127,6 +128,7 @@ def test_none_is_what_a_cause_of_the_library_does():
         assert abs(known[closest] @ one) < 0.9, (form, closest)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["cubic in q2, joint 3", "residual before, one way"])
 def test_the_true_form_saves_on_a_replicate_what_the_effect_cost(form):
     case = _first_cases()[form]

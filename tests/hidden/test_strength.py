@@ -42,6 +42,7 @@ def test_strength_is_what_refitting_the_baseline_leaves(name, noise):
     assert effect["effect_rms_pct"] == pytest.approx(100 * even, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "form"), [(name, form) for name in EFFECTS for form in EFFECTS[name]])
 def test_every_form_has_the_strength_asked_for(name, form):
     # The first campaign that has what the form needs: half of them write down no payload.
@@ -85,6 +86,7 @@ def test_what_a_design_cannot_show_is_not_testable():
         hide("thesis", ("worn-spot",), 8, seed=1)
 
 
+@pytest.mark.slow
 def test_a_cause_testable_at_a_strength_has_it_at_a_plausible_size():
     assert "end-stop-misfire" in can_show("thesis", 1, strength=12)
     assert "end-stop-misfire" not in can_show("thesis", 1, strength=5)

@@ -44,6 +44,7 @@ def run(command, machine, log, *more):
     return " ".join(result.output.split())
 
 
+@pytest.mark.slow
 def test_commands_that_are_proposed_read_the_log_in_the_same_way(make, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     machine, log = make("one slide")
@@ -56,6 +57,7 @@ def test_commands_that_are_proposed_read_the_log_in_the_same_way(make, tmp_path,
         assert result.exit_code == 0, result.output
 
 
+@pytest.mark.slow
 def test_coefficients_of_smooth_functions_leave_the_screen_to_the_step_sizes(make):
     machine, log = make("one slide", n=40)
     said = run("fit", machine, log, "--cause", "along-travel")
@@ -64,6 +66,7 @@ def test_coefficients_of_smooth_functions_leave_the_screen_to_the_step_sizes(mak
     assert "Parameters of joint 1" in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_fits_find_the_steps_of_every_joint(make, name):
     machine, log = make(name)
@@ -79,6 +82,7 @@ def test_fits_find_the_steps_of_every_joint(make, name):
             assert row.estimate == pytest.approx(truth, rel=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_commands_name_each_joint_by_its_kind(make, tmp_path, name):
     machine, log = make(name)
@@ -91,6 +95,7 @@ def test_commands_name_each_joint_by_its_kind(make, tmp_path, name):
     run("anova", machine, log)
 
 
+@pytest.mark.slow
 def test_a_drift_is_found_on_a_machine_of_two_turns(make):
     machine, log = make("two turns", drift=0.05, n=8)
     text = run("diagnose", machine, log)
@@ -98,6 +103,7 @@ def test_a_drift_is_found_on_a_machine_of_two_turns(make):
     assert re.search(r"drift \d", text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["one slide", pytest.param("two turns", marks=pytest.mark.nightly)])
 def test_without_times_what_needs_order_is_untestable_and_why(make, tmp_path, name):
     machine, log = make(name, timed=False)
@@ -155,6 +161,7 @@ def test_where_moves_are_refused_what_gives_the_steps_of_drives_is_named(make):
     assert predicted["steps"].item() == pytest.approx(5.0 / STEPS["prismatic"]["+"], rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param("one slide", marks=pytest.mark.nightly), "two turns"])
 def test_a_joint_that_has_changed_is_named_on_any_machine(make, tmp_path, name):
     machine, old = make(name, sessions=3)

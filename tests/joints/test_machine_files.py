@@ -76,6 +76,7 @@ def test_what_needs_an_arm_says_so_in_one_sentence(machine_of, what):
     assert len(error.value.problems) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

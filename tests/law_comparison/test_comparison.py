@@ -28,6 +28,7 @@ def guide(table):
 FRICTION_CASES = [("session", 3, 1.25), ("thesis", 4, 1.12), ("many", 6, 1.12)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("design", "seed", "most", "bristles"),
     [
@@ -54,6 +55,7 @@ def test_friction_limited_logs_are_predicted_as_well_as_they_repeat(design, seed
         assert low < true_share(hidden, regime.direction) < high
 
 
+@pytest.mark.slow
 def test_of_many_configurations_several_are_left_out_at_a_time(monkeypatch):
     log = read(drive_stage("session", Stage("friction", None), seed=3), guide)
     (one_by_one,) = compare_laws(log).joints
@@ -64,6 +66,7 @@ def test_of_many_configurations_several_are_left_out_at_a_time(monkeypatch):
     assert in_parts.errors.physical.rms == pytest.approx(one_by_one.errors.physical.rms, rel=0.3)
 
 
+@pytest.mark.slow
 def test_a_direction_of_one_configuration_is_left_out_with_it():
     def one_way(table):
         back, place = table["direction"] == "-", table[["q2_deg", "theta_deg", "psi_deg"]]
@@ -75,6 +78,7 @@ def test_a_direction_of_one_configuration_is_left_out_with_it():
     assert 0 < joint.errors.traverses <= (log.usable["direction"] == "+").sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("logs", [2, pytest.param(500, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(("regime", "named"), [("friction", 0.9), ("velocity", 0.7)])
 def test_the_regime_is_right_and_r_in_its_interval_whatever_the_friction(regime, named, logs):
@@ -101,6 +105,7 @@ def test_published_logs_go_to_the_published_law():
     assert joint.errors.published.rms < 1.25 * joint.replicate_scatter
 
 
+@pytest.mark.slow
 def test_a_log_of_three_configurations_cannot_tell_and_is_told_what_would():
     hidden = drive_stage("thesis", Stage("friction"), seed=1)
 
@@ -120,6 +125,7 @@ def test_a_log_of_three_configurations_cannot_tell_and_is_told_what_would():
     assert joint.experiments[0].traverses is not None
 
 
+@pytest.mark.slow
 def test_a_law_with_as_many_parameters_as_counts_is_neither_likely_nor_unlikely():
     """Joint 1 calibrated once: friction-limited steps have four parameters and pass through all counts."""
     hidden = drive_stage("session", Stage("friction"), seed=4)
@@ -140,6 +146,7 @@ def test_a_law_with_as_many_parameters_as_counts_is_neither_likely_nor_unlikely(
     assert ssf.physical_law(1, log.usable, log.machine).ratios == (FRICTION_LIMITED, FRICTION_LIMITED)
 
 
+@pytest.mark.slow
 def test_what_experiments_expect_is_what_happens():
     """Friction-limited steps shrink as mass grows."""
     hidden = drive_stage("session", Stage("friction"), seed=1)
@@ -154,6 +161,7 @@ def test_what_experiments_expect_is_what_happens():
     assert all(one.friction_limited == pytest.approx(1 / 1.2) for one in expected)
 
 
+@pytest.mark.slow
 def test_saved_and_shown(tmp_path):
     comparison = ssf.compare_laws(read(hide("session", seed=2), guide))
     comparison.save(tmp_path / "laws.json")
@@ -163,6 +171,7 @@ def test_saved_and_shown(tmp_path):
     assert "Regimes" in comparison.summary().as_text(full=True)
 
 
+@pytest.mark.slow
 def test_every_estimator_takes_the_physical_law(tmp_path):
     hidden = drive_stage("session", Stage("friction"), seed=2)
     log = read(hidden, guide)

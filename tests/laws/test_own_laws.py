@@ -125,6 +125,7 @@ def test_a_sinusoid_along_the_traverse_beside_scipy(campaign, read_table, lab):
     np.testing.assert_allclose(fitted.joints[1].values[0], expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_every_other_verb_takes_the_law(log, lab):
     laws = {3: lab.GUIDE}
     guide = log.select(log.rows["joint"] == 3)
@@ -243,6 +244,7 @@ def test_a_function_makes_the_law_of_its_joint_and_rows(log, lab):
     assert ssf.fit(log, laws={3: make}).joints[3].law is lab.GUIDE
 
 
+@pytest.mark.slow
 def test_a_saved_result_comes_back_with_its_law_given_again(log, lab, tmp_path):
     causes = [cause for cause in ssf.causes.library() if cause.name == "drift"]
     result = ssf.fit(log, laws={3: lab.GUIDE}, causes=causes)
@@ -319,6 +321,7 @@ def test_a_broken_installed_law_is_named_and_left_out(load, lab, monkeypatch):
         assert list(installed_laws()) == ["guide"]
 
 
+@pytest.mark.slow
 def test_the_command_line_takes_a_law(path, log, lab, tmp_path, run, refused):
     saved = tmp_path / "result.json"
     status, printed, _ = run("fit", path, "--law", "laboratory:GUIDE", "--json", saved)
@@ -352,6 +355,7 @@ def test_every_law_that_cannot_be_found_is_listed(path, lab, tmp_path, run):
         assert any(name in line and message in line for line in complaint.splitlines())
 
 
+@pytest.mark.slow
 def test_what_cannot_be_saved_is_refused_before_the_fit(path, lab, monkeypatch, tmp_path, run, refused):
     class Local(lab.Guide):
         pass
@@ -367,6 +371,7 @@ def test_what_cannot_be_saved_is_refused_before_the_fit(path, lab, monkeypatch, 
     assert not saved.exists()
 
 
+@pytest.mark.slow
 def test_a_bound_is_of_the_law_in_hand(path, lab, run, refused):
     status, printed, _ = run("fit", path, "--law", "laboratory:GUIDE", "--bound", "weight=0:300")
     assert status == 0
@@ -389,6 +394,7 @@ parameters = "A in %"
 """
 
 
+@pytest.mark.slow
 def test_a_file_of_formulas_gives_laws_and_causes(path, log, tmp_path, run, refused):
     (tmp_path / "law.toml").write_text(FORMULA)
     options = ("--law", tmp_path / "law.toml", "--cause", "slow")

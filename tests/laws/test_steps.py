@@ -53,6 +53,7 @@ each_law = pytest.mark.parametrize("name", LAWS)
 each_direction = pytest.mark.parametrize("direction", ["+", "-"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("every", "step"), [(5, 8.0), pytest.param(1, 1.0, marks=pytest.mark.nightly)], ids=["few", "all"]
 )

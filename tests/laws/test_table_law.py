@@ -116,6 +116,7 @@ def test_a_nonlinear_law_is_fitted_without_start_values_or_bounds_in_any_unit(ca
     assert np.sum((y - found) ** 2) <= np.sum((y - exact) ** 2)
 
 
+@pytest.mark.slow
 def test_every_session_of_many_has_the_least_squares_of_its_own():
     t, rng = np.linspace(0.0, 5e-4, 15), np.random.default_rng(3)
     taus = rng.uniform(5e-5, 2e-4, 30)

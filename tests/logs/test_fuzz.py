@@ -62,6 +62,7 @@ def read(folder, raw: bytes, name: str = "day.csv"):
     return read_log(path)
 
 
+@pytest.mark.slow
 @given(data=st.data())
 @quick
 def test_a_good_log_comes_out_as_it_was_written(folder, drafts, data):
@@ -78,6 +79,7 @@ def test_a_good_log_comes_out_as_it_was_written(folder, drafts, data):
         np.testing.assert_allclose(rows[quantity], values, rtol=1e-15)
 
 
+@pytest.mark.slow
 @given(data=st.data(), random=st.randoms())
 @quick
 def test_the_order_of_rows_means_nothing(folder, drafts, data, random):
@@ -87,6 +89,7 @@ def test_the_order_of_rows_means_nothing(folder, drafts, data, random):
     pd.testing.assert_frame_equal(read(folder, draft.bytes()).rows, expected)
 
 
+@pytest.mark.slow
 @given(data=st.data())
 @quick
 def test_units_are_only_a_way_of_writing(folder, drafts, data):
@@ -182,6 +185,7 @@ def test_a_dropped_renamed_or_doubled_column_is_told(folder, drafts, data):
     assert told & {column, name}
 
 
+@pytest.mark.slow
 @given(data=st.data())
 @thorough
 def test_mutilated_bytes_lose_no_row_in_silence(folder, drafts, data):
@@ -226,6 +230,7 @@ def test_mutilated_parquet_is_refused_or_read(folder, drafts, data):
         read(folder, bytes(raw), "day.parquet")
 
 
+@pytest.mark.slow
 @given(
     data=st.data(),
     encoding=st.sampled_from(["utf-16", "utf-16-le", "utf-32", "latin-1", "cp1252", "utf-7", "cp037"]),
@@ -438,12 +443,14 @@ def try_mutated_log(seed: int, folder: Path) -> bool:
     return True
 
 
+@pytest.mark.slow
 def test_mutated_logs_are_refused_or_read_whole_and_fitted(folder):
     outcome = [try_mutated_log(seed, folder) for seed in range(8)]
     assert 0 < sum(outcome) < len(outcome)
 
 
 # As many parameters as rows, different stretches, and a parameter on its bound that no row determines.
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [25, 258, 681, pytest.param(324, marks=pytest.mark.nightly)])
 def test_logs_that_do_not_determine_everything_are_fitted_all_the_same(folder, seed):
     assert try_mutated_log(seed, folder)

@@ -5,6 +5,7 @@ import re
 from datetime import datetime, timedelta
 
 import pyarrow as pa
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -17,6 +18,7 @@ thorough = settings(quick, max_examples=150)
 NUMBERLIKE = st.text("0123456789+-.eE, _xnaif\t", max_size=9)
 
 
+@pytest.mark.slow
 @given(st.lists(NUMBERLIKE | st.floats().map(repr) | st.integers().map(str), min_size=1, max_size=20))
 @thorough
 def test_numbers_are_plain_decimals_and_nothing_else(cells):
@@ -29,6 +31,7 @@ def test_numbers_are_plain_decimals_and_nothing_else(cells):
         assert bad or empty or value == float(stripped)
 
 
+@pytest.mark.slow
 @given(
     st.lists(
         st.text("0123456789-T: .Z+", max_size=22) | st.datetimes().map(datetime.isoformat),

@@ -191,6 +191,7 @@ def test_what_a_condition_was_of_late_is_what_a_body_has_that_follows_it(read, c
             np.testing.assert_allclose(own[late], followed, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("coordinate", "joint"), [("theta", 0), ("q2", 2), ("q3", 3)])
 def test_how_a_coordinate_has_changed_is_unknown_where_its_joint_moves(read, coordinate, joint):
     """Of the others it is the coordinate less what a body has that follows it."""
@@ -209,6 +210,7 @@ def test_how_a_coordinate_has_changed_is_unknown_where_its_joint_moves(read, coo
         np.testing.assert_allclose(change[part.index], wanted, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_history_of_a_real_campaign(tmp_path):
     path = SHARED / "data" / "campaigns" / "campaign-d.csv"
     if not path.exists():

@@ -101,6 +101,7 @@ def test_rows_cannot_lose_their_order_or_history_by_selection_of_nothing(sheet, 
     pd.testing.assert_frame_equal(log.select([True] * 6).rows, log.rows)
 
 
+@pytest.mark.slow
 def test_a_log_that_was_changed_after_reading_does_not_keep_the_hash_of_its_file(sheet, read):
     log = read(sheet)
     of_file, usable = log.sha256, log.rows["status"] == "ok"

@@ -182,6 +182,7 @@ def test_a_parquet_file_is_known_by_its_content(sheet, read, write, tmp_path):
     pd.testing.assert_frame_equal(read_log(path).rows, read(sheet).rows)
 
 
+@pytest.mark.slow
 def test_columns_read_side_by_side_do_not_get_in_each_other_s_way(sheet, write):
     frame = typed(sheet)
     many = pd.concat([frame.assign(time=frame["time"] + pd.Timedelta(days=7 * week)) for week in range(1000)])

@@ -207,6 +207,7 @@ def test_a_file_of_no_sensible_shape_is_one_message(tmp_path, raw, said):
     assert said in refusal(path)
 
 
+@pytest.mark.slow
 def test_a_thousand_columns_of_one_s_own_are_read(sheet, read):
     for number in range(1000):
         sheet.add(f"x{number}", [str(number + row) for row in range(6)])

@@ -132,6 +132,7 @@ def test_an_arm_that_would_have_to_swing_round_is_refused():
 FAR = replace(MACHINE, ranges={1: (-np.pi, np.pi), 2: (-11 * np.pi / 6, np.pi / 6), 3: (-0.02, 0.02)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("machine", [MACHINE, FAR])
 def test_moves_are_drawn_uniformly_from_all_that_are_within_reach(machine):
     paths = draw_random_paths(machine, N_PATHS, seed=4, length=3e-3)
@@ -170,6 +171,7 @@ def test_the_seed_settles_the_moves_and_the_base_stands_within_its_ranges():
     assert set(np.unique(one.arrival_direction)) == {-1, 1}
 
 
+@pytest.mark.slow
 def test_moves_that_do_not_fit_are_refused():
     with pytest.raises(InputError, match="hardly any move of 150 mm"):
         draw_random_paths(MACHINE, 1, seed=1, length=0.15)

@@ -71,6 +71,7 @@ def test_a_move_there_and_where_it_ends_agree(arm):
     assert move.tip == pytest.approx(forward(load_machine(), target))
 
 
+@pytest.mark.slow
 def test_the_tip_radius_holds_95_percent_of_many_moves(arm):
     """Draw laws from the fit's own uncertainty and repeatability, make the move, look at the tips."""
     rng = np.random.default_rng(3)

@@ -25,6 +25,7 @@ def loaded_with(text: str) -> set[str]:
     return names
 
 
+@pytest.mark.slow
 def test_no_file_needs_a_posix_system_to_be_loaded():
     texts = {path: path.read_text("utf-8") for path in FILES}
     mentioning = [path for path, text in texts.items() if any(name in text for name in POSIX_ONLY)]

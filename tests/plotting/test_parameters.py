@@ -84,6 +84,7 @@ def test_every_estimate_is_in_view_however_wide_the_limits(days):
                 assert all(low < y < high for y in line.get_ydata())
 
 
+@pytest.mark.slow
 def test_the_caption_names_what_is_outside(days):
     caption = control_picture(3, days.fit).caption
     assert (
@@ -94,6 +95,7 @@ def test_the_caption_names_what_is_outside(days):
     assert "Of 24 points with limits none is outside." in control_picture(3, fit_least_squares(usual)).caption
 
 
+@pytest.mark.slow
 def test_a_chart_of_all_joints_has_the_parameters_of_each(whole):
     titles = [axes.get_title().split(" (")[0] for axes in plot_control(whole.fit).axes]
     names = {parameter.name for fit in whole.fit.joints.values() for parameter in fit.law.parameters}
@@ -168,6 +170,7 @@ def test_contours_of_a_posterior_hold_what_they_say(posterior):
             assert inside(outline, draws[:, [column, row]]) == pytest.approx(level, abs=0.03)
 
 
+@pytest.mark.slow
 def test_the_latest_session_is_drawn_unless_one_is_named(days, posterior):
     for shown in (days.fit, posterior):
         latest, named = (shown.plot_corner(3, "+", day).figure for day in (None, "2012-03-01"))

@@ -186,6 +186,7 @@ def test_d_three_ways_recovers_the_truth(campaign, fitted):
         assert row["quadratic"] == pytest.approx(3.41 * x**2 + 0.025 * x + 6.42e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("months", [2, pytest.param(4, marks=pytest.mark.nightly)])
 def test_d_s_error_bar_is_its_scatter(campaign, fitted, months):
     """Over fifty sessions of one repeatability the ratio itself is known to 12 %, over a hundred to 9 %."""

@@ -32,6 +32,7 @@ def drawn(axis):
     return np.sort(np.concatenate([line.get_ydata() for line in axis.lines if line.get_marker() == "o"]))
 
 
+@pytest.mark.slow
 def test_the_table_is_the_analysis(turned, found):
     caption = "Factors of joint 3 (prismatic)"
     names = turned.page.column(caption, "factor")
@@ -68,6 +69,7 @@ def test_every_reading_is_drawn_where_its_count_puts_it(turned, found):
         assert drawn(axis) == pytest.approx(np.sort(less), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_figures_stand_only_where_there_are_answers(found, campaign, read_table):
     keys = [picture.key for picture in factor_pictures(3, found.factor_tests)]
     assert keys == ["day-3", "direction-3", "normal-force-3"]
@@ -78,6 +80,7 @@ def test_figures_stand_only_where_there_are_answers(found, campaign, read_table)
     ]
 
 
+@pytest.mark.slow
 def test_a_log_that_answers_nothing_says_why(campaign, reported):
     page = reported(campaign(DAYS[:1], ROTATION[:1], directions=("+",), replicates=1)).page
     assert "all traverses are of one session" in page.text
@@ -85,6 +88,7 @@ def test_a_log_that_answers_nothing_says_why(campaign, reported):
     assert "Factors of joint 3 (prismatic)" not in page.tables
 
 
+@pytest.mark.slow
 def test_of_many_sessions_the_latest_are_drawn_and_single_ones_not_listed(campaign, read_table):
     years = pd.concat(
         [
@@ -99,6 +103,7 @@ def test_of_many_sessions_the_latest_are_drawn_and_single_ones_not_listed(campai
     assert {row[1] for row in alone.rows} == {"all"}
 
 
+@pytest.mark.slow
 def test_more_answers_than_a_table_has_room_for_are_counted(campaign, read_table):
     days = tuple(f"2012-03-{day:02d}" for day in range(5, 14))
     part = factors_section(analyze_variance(read_table(campaign(days, ROTATION))))

@@ -43,6 +43,7 @@ def source(made, found):
     return report(made.log, calibration=made.calibration, fit=made.fit, comparison=found, sections=()).html
 
 
+@pytest.mark.slow
 def test_the_section_shows_the_answer_the_numbers_and_the_picture(source, read_page, found):
     page = read_page(source)
     assert ("a", {"href": "#strategies"}) in page.elements
@@ -77,6 +78,7 @@ def test_names_are_unique_and_nothing_is_fetched(source, read_page):
     assert not re.search(r"https?:|@import|url\((?!#)", source)
 
 
+@pytest.mark.slow
 def test_one_session_says_what_its_intervals_are_over(made):
     log = made.log.select(made.log.rows["session"] == DATES[0])
     section = strategies_section(compare_strategies(log, [ConstantStepStrategy(), ClosedForm()]))
@@ -84,6 +86,7 @@ def test_one_session_says_what_its_intervals_are_over(made):
     assert "Left out" not in [table.caption for table in section.tables]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sessions", [1, 2])
 def test_causes_are_in_a_law_where_other_sessions_give_their_size(made, sessions):
     log = made.log.select(made.log.rows["session"].isin(DATES[:sessions]))

@@ -211,6 +211,7 @@ def test_a_picture_of_what_is_not_there_is_refused(found):
         replace(found, gain=None).plot_gain()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [1, 3, pytest.param(30, marks=pytest.mark.nightly)])
 def test_a_page_of_hardly_anything(drifting, read_table, read_page, rows):
     diagnosis = diagnose(read_table(drifting.head(rows), "few.csv"), alpha=0.1, gain=False)
@@ -224,6 +225,7 @@ def run(run):
     return partial(run, "diagnose")
 
 
+@pytest.mark.slow
 def test_the_verb_answers_and_saves(run, campaign, tmp_path):
     campaign(DATES[:2], SETTINGS, replicates=3).to_csv(tmp_path / "log.csv", index=False)
     outputs = ("--json", tmp_path / "out.json", "--report", tmp_path / "out.html")
@@ -235,6 +237,7 @@ def test_the_verb_answers_and_saves(run, campaign, tmp_path):
     assert "stickslip-fit diagnose" in (tmp_path / "out.html").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_answer(run, campaign, tmp_path):
     campaign(DATES[:1], SETTINGS, replicates=3).to_csv(tmp_path / "log.csv", index=False)
     texts = []

@@ -105,6 +105,7 @@ def test_the_fragment_needs_and_touches_nothing_but_itself(months):
         assert all(rule.startswith((".stickslip-fit", "@media")) for rule in rules)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "names",
     [
@@ -154,6 +155,7 @@ def test_a_posterior_shows_its_draws_quality_and_its_priors(posterior, read_page
     assert len(page.tables[CAPTION]) == 8
 
 
+@pytest.mark.slow
 def test_a_posterior_that_has_not_converged_shows_no_numbers(months, read_page):
     log = months.log.select(months.log.rows["session"] > "2012-03-11")
     page = read_page(fit_bayes(log, max_steps=20, target_ess=10**6, progress=False)._repr_html_())
@@ -169,6 +171,7 @@ def plotted(months, posterior):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_figures_show_themselves_in_a_notebook(plotted):
     """As pictures of a size, on white: ink on a dark notebook could not be read."""
     for shown in plotted[::2]:  # one of each kind
@@ -199,6 +202,7 @@ def test_what_is_changed_is_shown_changed_and_written(months, tmp_path):
     assert "of our own" in (tmp_path / "log.svg").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_what_shows_itself_prints_as_its_summary(months, posterior, factors):
     for shown in (months.log, months.fit, posterior, factors):
         text = str(shown)
@@ -250,6 +254,7 @@ def test_a_formula_shows_its_terms(months, read_page):
     assert found.formula in page.text
 
 
+@pytest.mark.slow
 def test_a_comparison_has_its_verdicts_in_view(months, read_page):
     found = compare_strategies(
         months.log.select(months.log.rows["session"] > "2012-03-10"), [ConstantStepStrategy(), ClosedForm()]
@@ -262,6 +267,7 @@ def test_a_comparison_has_its_verdicts_in_view(months, read_page):
     assert float(page.column(caption, "timemin")[1]) == pytest.approx(cost, abs=0.51)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_gives_its_numbers_as_tables(months):
     """Of a drift that was put into the counts, 3 % an hour."""
     log = months.log.select(months.log.rows["session"] > "2012-03-10")

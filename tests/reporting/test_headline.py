@@ -95,6 +95,7 @@ def test_what_lies_outside_its_interval_is_not_called_explained_without_a_word(m
     assert "gives p = 0.40" in told
 
 
+@pytest.mark.slow
 def test_factors_are_told_without_the_cause(made, found, read_page):
     """Counts without the drift have no drift left, and no more scatter than was put in."""
     corrected = found.corrected_log().usable

@@ -51,6 +51,7 @@ def figures(page):
     return "".join(part.split("</svg>")[0] for part in page.source.split("<svg")[1:])
 
 
+@pytest.mark.slow
 def test_nothing_hostile_becomes_an_element(hostile):
     tags = {tag for tag, _ in hostile.page.elements}
     assert not tags & {"img", "b"}

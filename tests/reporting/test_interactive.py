@@ -62,6 +62,7 @@ def test_configurations_are_named_where_they_differ(given):
     assert first == "q2 −90°, theta 0°, psi 0°"
 
 
+@pytest.mark.slow
 def test_a_law_that_is_not_known_is_null(campaign, reported):
     alone = campaign(settings=({"joint": 3, "psi_deg": 30.0},), directions=("+",), replicates=1)
     page = reported(alone.head(1)).page
@@ -96,6 +97,7 @@ def test_embedded_data_comes_back_and_cannot_end_its_element():
         embed_json([float("nan")])
 
 
+@pytest.mark.slow
 def test_points_of_figures_are_the_traverses_they_say(campaign, fitted):
     """As high as the step size or its departure has it, and as many as drawn."""
     made = fitted(

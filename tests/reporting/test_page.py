@@ -90,6 +90,7 @@ def test_every_table_is_rectangular(whole):
         assert {len(row) for row in rows} == {len(whole.page.heads[caption])}, caption
 
 
+@pytest.mark.slow
 def test_the_same_log_gives_the_same_bytes(campaign, reported):
     made = reported(campaign(("2012-03-05",), TURNS[:3]))
     assert made.html == made.source
@@ -143,6 +144,7 @@ def test_the_accuracy_of_the_prismatic_joint_by_hand(campaign, whole):
     assert whole.page.column(caption, "traverses")[0] == str(len(error))
 
 
+@pytest.mark.slow
 def test_what_a_correct_law_cannot_explain_is_said(campaign, fitted, whole):
     assert "no more than repeatability and the calibration's own uncertainty explain" in whole.page.text
     warming = campaign(settings=TURNS)

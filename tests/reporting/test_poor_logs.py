@@ -45,6 +45,7 @@ LACKING_FIGURES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LACKING_FIGURES)
 def test_a_figure_that_a_log_cannot_support_says_what_it_lacks(campaign, fitted, read_page, name):
     how, said = LACKING_FIGURES[name]
@@ -53,12 +54,14 @@ def test_a_figure_that_a_log_cannot_support_says_what_it_lacks(campaign, fitted,
     assert said in read_page(page).text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", POOR)
 def test_a_poor_log_is_reported_with_what_it_lacks(campaign, reported, name):
     how, said = POOR[name]
     assert said in reported(campaign(**how)).page.text
 
 
+@pytest.mark.slow
 def test_a_section_that_does_not_converge_says_which_computation_failed(campaign, read_table, monkeypatch):
     def fail(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
@@ -71,6 +74,7 @@ def test_a_section_that_does_not_converge_says_which_computation_failed(campaign
     assert failed in report(log, sections=("diagnosis",)).html
 
 
+@pytest.mark.slow
 def test_what_cannot_be_known_is_called_so(campaign, reported):
     page = reported(campaign(settings=PSI)).page
     assert "Not every parameter of joint 3 can be calibrated" in page.text
@@ -84,6 +88,7 @@ def test_what_cannot_be_known_is_called_so(campaign, reported):
     assert "nan" not in page.text.lower().split()
 
 
+@pytest.mark.slow
 def test_interrupted_and_excluded_traverses_are_counted(campaign, reported):
     table = campaign(settings=CALIBRATION_3 + PSI)
     table["status"] = ["interrupted", "excluded", "excluded"] + ["ok"] * (len(table) - 3)

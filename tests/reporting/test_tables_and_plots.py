@@ -73,6 +73,7 @@ def test_an_unknown_column_is_refused_with_a_guess(whole):
         whole.log.plot("thetta")
 
 
+@pytest.mark.slow
 def test_a_diagnosis_draws_its_first_finding_or_all_residuals(whole):
     third = whole.log.select(whole.log.rows["joint"] == 3)
     quiet = ssf.diagnose(third, causes=[Drift(), ThermalWarmUp()], gain=False)

@@ -43,12 +43,14 @@ def single(campaign):
     return campaign(("2012-03-05",), CALIBRATION_3, replicates=1)
 
 
+@pytest.mark.slow
 def test_what_is_not_wanted_is_left_out(written, single):
     page = written(single, "--no-diagnosis", "--no-strategies")
     assert {"answer", "parameters"} <= headings(page)
     assert not headings(page) & set(SECTIONS)
 
 
+@pytest.mark.slow
 def test_a_section_that_cannot_be_says_why_and_costs_nothing_else(written, single):
     page = written(single)
     assert set(SECTIONS) <= headings(page)

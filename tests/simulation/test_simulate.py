@@ -35,6 +35,7 @@ def test_a_simulated_log_reads_back_the_same(plan_of, law_of, machine, tmp_path)
     pd.testing.assert_frame_equal(read_log(tmp_path / "log.csv").rows, log.rows, check_like=True)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(plan_of, law_of, machine, tmp_path):
     def written(seed):
         write_log(simulate(plan_of(seed=1), law_of(1.8), machine, seed), tmp_path / "log.csv")

@@ -109,6 +109,7 @@ SWINGS = (
 LOOSER = schedule("preload", "-5 %", session="2012-03-06")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joint", "text", "sweep", "radius", "payload"),
     [(2, JOINT_2, TURNS, 5e-3, 2e-5), (1, JOINT_1, SWINGS, 2e-4, 1e-8)],

@@ -29,6 +29,7 @@ def points_about(n, *varied):
     return points
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "varied", "most"), [(5_000, (), 120), (10_000, (2,), 3_000)])
 def test_interpolated_steps_are_within_a_hundredth_of_a_per_cent(n, varied, most):
     points = points_about(n, *varied)

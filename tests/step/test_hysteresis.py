@@ -137,6 +137,7 @@ def test_a_step_is_that_of_a_ramp_of_two_pieces(weight, ramp_time, load):
     assert drive.without_hysteresis().motion().position.max() == pytest.approx(drive.amplitude)
 
 
+@pytest.mark.slow
 def test_hysteresis_acts_before_the_foots_dynamics():
     """A stiff foot tends to the hysteretic waveform, with bristles too."""
     contact = Contact(0.2, 1.25, "lugre", stiffness=2e8, damping=20.0)

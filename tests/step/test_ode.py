@@ -126,6 +126,7 @@ def drift(model, amplitude, load=20.0, periods=30):
     )
 
 
+@pytest.mark.slow
 def test_elastoplastic_stands_below_its_zero_step_amplitude_and_lugre_drifts():
     """Load and oscillation stay below z_ba: elastic, no net motion. LuGre creeps at any amplitude."""
     lugre = LuGre(FORCE, FORCE, 1e-3, 1e6, 20.0)

@@ -52,6 +52,7 @@ def test_the_step_is_that_of_the_closed_form():
     assert not REACHED.is_friction_limited
 
 
+@pytest.mark.slow
 def test_what_the_step_depends_on_tells_the_regimes_apart():
     """Friction-limited: a_f T1^2, no voltage. Catching up: the voltage alone."""
     limited, reached = analyse_stage(LIMITED), analyse_stage(REACHED)
@@ -64,6 +65,7 @@ def test_what_the_step_depends_on_tells_the_regimes_apart():
     assert reached.load_curvature == pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_contact_with_stiff_bristles_gives_nearly_the_step_of_coulomb():
     contact = replace(LIMITED.contact, model="lugre", stiffness=2e8, damping=20.0)
     analysis = analyse_stage(replace(LIMITED, contact=contact))
@@ -72,6 +74,7 @@ def test_a_contact_with_stiff_bristles_gives_nearly_the_step_of_coulomb():
     assert "With Coulomb friction" in str(analysis.summary())
 
 
+@pytest.mark.slow
 def test_steps_that_follow_too_fast_are_flagged():
     hurried = replace(LIMITED, drive=replace(LIMITED.drive, rest_time=2e-5))
     assert not hurried.rests_between_steps

@@ -32,6 +32,7 @@ def slopes_by_hand(truth, joint, table):
     return log_counts(values), np.stack(columns, axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joint", "more", "design"),
     [(3, 0, DOptimal()), (3, 2, IOptimal()), (2, 0, IOptimal()), (1, 1, DOptimal())],

@@ -105,6 +105,7 @@ def test_cost_is_steps_and_what_lies_between_them(found, log):
     assert cost["seconds"] == pytest.approx(calibration["steps"].sum() * 0.01 / 3 + 8 * 90, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_session_that_lacks_traverses_is_left_out_for_all(campaign, written):
     two_joints = tuple(each for each in CALIBRATION + SWEEPS if each["joint"] != 1)
     table = campaign((MONDAY, TUESDAY, WEDNESDAY), two_joints)
@@ -133,6 +134,7 @@ def test_on_the_day_the_first_session_has_none_to_look_back_on(log):
     assert found.sessions(3) == (TUESDAY, WEDNESDAY)
 
 
+@pytest.mark.slow
 def test_a_strategy_that_suits_no_session_of_a_joint_takes_no_part_there(log):
     class NotJointTwo(FirstOfAll):
         def choose(self, task):
@@ -159,6 +161,7 @@ def test_one_session_is_judged_over_its_configurations(log):
     assert found.pairs.set_index("joint").loc[3, "verdict"] == "worse"
 
 
+@pytest.mark.slow
 def test_a_log_without_replicates_still_leaves_sweeps_to_predict(campaign, written):
     once = read_log(written(sessions=(MONDAY, TUESDAY), replicates=1))
     found = compare_strategies(once, [ConstantStepStrategy(), ClosedForm()])
@@ -201,6 +204,7 @@ def test_two_strategies_need_two_names(log):
         compare_strategies(log, [ClosedForm(), ClosedForm()])
 
 
+@pytest.mark.slow
 def test_every_number_is_saved_in_peoples_units(found, tmp_path):
     save_comparison(found, tmp_path / "numbers")
     for name, table in make_tables(found).items():

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pandas as pd
+import pytest
 
 from stickslip_fit import estimation as fit
 from stickslip_fit.causes import library
@@ -45,6 +46,7 @@ def test_what_cannot_be_is_refused_before_any_work(run, log, written, tmp_path):
     assert "existing folder" in run("compare", path, "--numbers", tmp_path / "none" / "none")[2]
 
 
+@pytest.mark.slow
 def test_causes_of_another_log_may_be_taken(run, written, tmp_path):
     drift = next(each for each in library() if each.name == "drift")
     other = read_log(written(sessions=("2012-04-05", "2012-04-06"), settings=JOINT_3, seed=4))
@@ -55,6 +57,7 @@ def test_causes_of_another_log_may_be_taken(run, written, tmp_path):
     assert "closed form, with causes" in told
 
 
+@pytest.mark.slow
 def test_tables_never_replace_the_log_that_they_are_of(run, written, tmp_path, monkeypatch):
     """Its name is that of a table, so that the folder that it is in cannot take the tables."""
     path = written(sessions=("2012-03-05", "2012-03-06"), settings=JOINT_3)

@@ -123,6 +123,7 @@ def check(errors):
     assert np.mean([verdict != INDISTINGUISHABLE for verdict in verdicts]) < 0.05 + chance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "logs"),
     [

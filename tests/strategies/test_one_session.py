@@ -95,6 +95,7 @@ def check(errors, truth):
     assert abs(np.mean(inside) - 0.95) < 0.02 + chance, np.mean(inside)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "uneven", "sessions"),
     [

@@ -48,6 +48,7 @@ def drawn(rng: np.random.Generator, better: float) -> np.ndarray:
     return rms
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("logs", [80, pytest.param(2000, marks=pytest.mark.nightly)])
 def test_strategies_that_are_alike_are_rarely_told_apart(logs):
     rng = np.random.default_rng(2)
@@ -58,6 +59,7 @@ def test_strategies_that_are_alike_are_rarely_told_apart(logs):
     assert wrong <= 0.05 * logs + 3 * np.sqrt(0.05 * 0.95 * logs)
 
 
+@pytest.mark.slow
 def test_three_sessions_show_a_strategy_that_is_six_times_as_good():
     rng, logs = np.random.default_rng(3), 60
     seen = [

@@ -40,6 +40,7 @@ def trials(log):
     return list(make_cases(log, other_sessions))
 
 
+@pytest.mark.slow
 def test_the_closed_form_is_that_of_fit(log, trials):
     calibrated = fit.fit_closed_form(log)
     errors = evaluate_strategies(trials, [ClosedForm()]).errors.set_index("traverse")
@@ -64,6 +65,7 @@ def test_the_constant_step_is_measured_in_the_first_configuration(log, trials):
         assert subset["predicted"].to_numpy() == pytest.approx(step)
 
 
+@pytest.mark.slow
 def test_the_constant_step_is_that_of_fit(log, trials):
     constant = fit.fit_constant_step(log, fit.fit_closed_form(log))
     errors = evaluate_strategies(trials, [ConstantStepStrategy()]).errors.set_index("traverse")
@@ -84,6 +86,7 @@ def test_nothing_is_learnt_from_what_was_not_driven(strategy, trials):
         assert (after["measured"] != before["measured"]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("today", [1, 3])
 def test_the_hierarchy_agrees_with_draws_from_its_posterior(today, log, trials):
     trial = next(each for each in trials if each.task.law.joint == 3)
@@ -107,6 +110,7 @@ def warm(campaign, written):
     return read_log(written(table))
 
 
+@pytest.mark.slow
 def test_causes_fitted_to_other_sessions_take_their_effect_out(warm):
     cause = next(each for each in library() if each.name == "temperature")
     plain = LeastSquares(IOptimal(), 2)
@@ -118,6 +122,7 @@ def test_causes_fitted_to_other_sessions_take_their_effect_out(warm):
         assert rms[joint, f"{plain.name}, with causes"] < 0.005
 
 
+@pytest.mark.slow
 def test_fits_solved_together_are_those_solved_one_by_one(warm, monkeypatch):
     """Of two joints, both directions, few and many traverses, with and without a cause of several sizes."""
     cause = next(each for each in library() if each.name == "temperature")
@@ -140,6 +145,7 @@ def test_fits_solved_together_are_those_solved_one_by_one(warm, monkeypatch):
         assert found.known.tolist() == alone.known[0].tolist()
 
 
+@pytest.mark.slow
 def test_campaigns_solved_together_are_those_solved_one_by_one(warm):
     """Of two joints and both directions, with different numbers of sessions and traverses."""
     cases, fits, alone = list(make_cases(warm, other_sessions)), [], []
@@ -175,6 +181,7 @@ def test_predictions_made_together_are_those_of_each_law(warm):
             assert sd == pytest.approx([np.sqrt(row @ one.covariance @ row) for row in slopes], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_session_has_no_part_in_the_causes_it_is_calibrated_with(warm, trials):
     cause, tuesday = next(each for each in library() if each.name == "temperature"), "2012-03-06"
     rows = warm.rows.copy()
@@ -198,6 +205,7 @@ def test_causes_may_not_be_judged_by_the_traverses_they_were_fitted_to(warm):
     assert list(known) == list(warm.sessions)
 
 
+@pytest.mark.slow
 def test_more_traverses_are_worth_more(log):
     few, many = LeastSquares(Thesis()), LeastSquares(Thesis(), 3)
     errors = compare_strategies(log, [few, many]).shared

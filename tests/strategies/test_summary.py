@@ -123,6 +123,7 @@ def test_strategies_that_cost_the_same_stand_apart_and_keep_their_order():
     assert np.mean(np.log(apart[[1, 2, 4]])) == pytest.approx(np.log(60.0))
 
 
+@pytest.mark.slow
 def test_names_that_look_like_markup_stay_text(log):
     class Hostile(ClosedForm):
         name = "<script>alert(1)</script> $x$"

@@ -142,6 +142,7 @@ def test_a_strategy_without_steps_for_a_move_is_told():
     assert line.split() == ["lost", "60", "60", *["–"] * 8]
 
 
+@pytest.mark.slow
 def test_strategies_calibrated_on_a_log_move_the_tip(log):
     """On a log of the tests' own laws."""
     strategies = (ClosedForm(), ConstantStepStrategy())

@@ -65,6 +65,7 @@ def covered(temperature, campaign, written):
     return share
 
 
+@pytest.mark.slow
 def test_intervals_hold_where_the_size_of_a_cause_is_off(covered):
     assert covered(ClosedForm(), 40) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 40)
 
@@ -93,6 +94,7 @@ def held_of_logs(temperature, campaign, written):
     return share
 
 
+@pytest.mark.slow
 def test_what_the_causes_explain_is_no_scatter(held_of_logs):
     """A room whose temperature wanders makes replicates differ by nine times the repeatability."""
     assert 0.88 < held_of_logs(2) < 0.99

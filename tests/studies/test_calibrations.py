@@ -56,6 +56,7 @@ class Picky(MeanStep):
         return super().calibrate(task, made)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", [ConstantStepStrategy(), ClosedForm(), LeastSquares(IOptimal(), 2)])
 def test_all_at_once_as_task_by_task(strategy, study):
     warm = hidden("warm", ThermalWarmUp(), 0.02, 3600.0)
@@ -88,6 +89,7 @@ def test_a_session_without_an_answer_has_no_prediction(study):
     assert np.isnan(sd).all()
 
 
+@pytest.mark.slow
 def test_any_strategy_takes_part(study):
     plan = study(
         JOINT_3 + ROTARY, campaigns=2, check_every=1,

@@ -37,6 +37,7 @@ def by_hand(rows):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [3, pytest.param(2, marks=pytest.mark.nightly)])
 def test_least_squares_reaches_the_cramer_rao_bound(joint, study):
     plan = study(
@@ -59,6 +60,7 @@ def test_least_squares_reaches_the_cramer_rao_bound(joint, study):
         assert float(subset["rms_relative"].iloc[0]) == pytest.approx(np.sqrt(variance.mean()), rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scatter", "campaigns"),
     [("t5", 75), *(pytest.param(one, 150, marks=pytest.mark.nightly) for one in ("gaussian", "t5"))],

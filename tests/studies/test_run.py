@@ -41,6 +41,7 @@ def same(first, second):
     pd.testing.assert_frame_equal(*both, check_exact=True)
 
 
+@pytest.mark.slow
 def test_chunks_and_processes_change_nothing(study, monkeypatch):
     plan = study(scatter="uneven", scenarios=(Scenario("a"), Scenario("b")), campaigns=10)
     whole = run_study(plan, backend=Cores(1))
@@ -49,6 +50,7 @@ def test_chunks_and_processes_change_nothing(study, monkeypatch):
     same(whole, run_study(plan, backend=Cores(2)))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_chunks")
 def test_an_interrupted_study_goes_on_where_it_was(study, tmp_path):
     plan = study()
@@ -64,6 +66,7 @@ def test_an_interrupted_study_goes_on_where_it_was(study, tmp_path):
     assert nothing.worked_on == []
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_chunks")
 def test_only_what_is_new_is_worked_on(study, tmp_path):
     plan = study(campaigns=14)
@@ -76,6 +79,7 @@ def test_only_what_is_new_is_worked_on(study, tmp_path):
     assert another.worked_on == ["campaigns 0 to 6 of 'b'", "campaigns 7 to 13 of 'b'"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_chunks")
 @pytest.mark.parametrize(
     "changed",
@@ -96,6 +100,7 @@ def test_a_changed_study_does_not_mix(changed, study, tmp_path):
     same(found, run_study(replace(plan, **changed), backend=Watched()))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_chunks")
 def test_a_damaged_chunk_is_named(study, tmp_path):
     plan = study(campaigns=7)
@@ -106,6 +111,7 @@ def test_a_damaged_chunk_is_named(study, tmp_path):
         run_study(plan, tmp_path, Watched())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_chunks")
 def test_no_bit_of_a_chunk_can_flip_unnoticed(study, tmp_path):
     plan = study(campaigns=7)
@@ -134,6 +140,7 @@ def test_what_cannot_be_told_apart_is_refused(study):
         run_study(study(strategies=(ClosedForm(), ClosedForm())))
 
 
+@pytest.mark.slow
 def test_large_plans_come_in_smaller_pieces(study, monkeypatch):
     plan = study()
     monkeypatch.setattr(study_module, "MAX_ROWS", 5 * len(plan.plan.rows()))

@@ -16,6 +16,7 @@ CAUSES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", CAUSES)
 def test_side_by_side_as_one_after_the_other(kind, study, machine):
     causes, sizes = CAUSES[kind]

@@ -20,6 +20,7 @@ def found(study):
     )
 
 
+@pytest.mark.slow
 def test_the_answer_names_what_lasts_and_what_is_lost(found):
     answer, told = (" ".join(part.split()) for part in str(found).split("Joint 3 (prismatic)"))
     table = found.accuracy().set_index(["joint", "scenario", "strategy"])["rms_relative"][3]
@@ -83,12 +84,14 @@ def test_charts_show_every_scenario_joint_and_strategy(found):
     assert len(found.plot_tips()) == 2
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_it(found):
     html = found._repr_html_()
     assert html.count("<table") == 5
     assert "a warm-up" in html
 
 
+@pytest.mark.slow
 def test_without_moves_there_is_nothing_of_the_tip(study):
     plain = run_study(study(campaigns=3), backend=Cores(1))
     assert "The tip after" not in str(plain)
@@ -97,6 +100,7 @@ def test_without_moves_there_is_nothing_of_the_tip(study):
         plain.plot_tips()
 
 
+@pytest.mark.slow
 def test_the_verb_runs_keeps_and_carries_on(run, refused, tmp_path):
     head = HEAD.format(sessions=1, check_every=5, repeatability_pct=0.3)
     (tmp_path / "plan.toml").write_text(head + JOINT_3 + ROTARY)

@@ -48,6 +48,7 @@ def found(study):
     return tips.set_index(["scenario", "strategy"])
 
 
+@pytest.mark.slow
 def test_whoever_knows_the_steps_ends_within_a_few_of_them(found):
     # Half a step of each joint at full reach: 50 mm times 48 µrad, 50 and 62 mm.
     assert found.loc[("nothing hidden", "right"), "worst"] < 6e-6
@@ -58,12 +59,14 @@ def test_whoever_knows_the_steps_ends_within_a_few_of_them(found):
     assert found["unknown"].eq(0).all()
 
 
+@pytest.mark.slow
 def test_moves_are_made_when_the_session_is_over(found):
     # By then all step sizes are 3 % longer.
     assert found.loc[("warm", "warm too"), "worst"] < 6e-6
     assert found.loc[("warm", "right"), "rms"] > 2 * found.loc[("nothing hidden", "too long"), "rms"]
 
 
+@pytest.mark.slow
 def test_what_is_only_in_hearing_the_stop_moves_nothing(found):
     assert found.loc[("late", "right"), "rms"] == pytest.approx(
         found.loc[("nothing hidden", "right"), "rms"], rel=0.1

@@ -61,6 +61,7 @@ def restricted_likelihood(rows, phi: float) -> float:
     return 0.5 * (np.linalg.slogdet(inverse)[1] - np.linalg.slogdet(normal)[1] - df * np.log(squares))
 
 
+@pytest.mark.slow
 def test_the_estimate_maximizes_the_restricted_likelihood():
     rows = signal(np.random.default_rng(4), "0.9", 1, 120)
     problem, _ = problem_from_table(rows, LAW, roles=TableRoles(**SHARED), generic_causes=())
@@ -117,6 +118,7 @@ def test_short_sessions_do_not_make_the_autocorrelation_too_small():
     assert np.mean(found) == pytest.approx(0.9, abs=0.03)  # two and a half standard errors of six
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "order"), [("white", 0), ("0.5", 1), pytest.param("rings", 2, marks=pytest.mark.nightly)]
 )

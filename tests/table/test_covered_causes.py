@@ -23,6 +23,7 @@ def diagnose(seed, s):
     return ssf.diagnose_table(table(seed, s), "y ~ c + b*x", causes=[BOWL, QUARTIC], gain=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [3, pytest.param(40, marks=pytest.mark.nightly)])
 def test_a_cause_like_the_square_of_another_is_found_beside_it(number):
     """The bowl alone would be 0.7 too large, eleven times half its interval."""
@@ -37,6 +38,7 @@ def test_a_cause_like_the_square_of_another_is_found_beside_it(number):
     assert inside >= binom.ppf(0.001, 2 * right, 0.95)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [4, pytest.param(200, marks=pytest.mark.nightly)])
 def test_a_bowl_alone_has_nothing_beside_it(number):
     wrong = sum([one.cause for one in diagnose(seed, 0.0).findings] != ["bowl"] for seed in range(number))

@@ -60,6 +60,7 @@ def test_rows_without_a_cell_of_a_role_are_left_out(table, role):
     assert answer.table.rows == N - 1
 
 
+@pytest.mark.slow
 def test_a_minus_is_a_value_of_a_direction_and_of_what_a_cause_acts_by(table):
     ways = table.assign(way=np.where(np.arange(N) % 2, "-", "+"))
     cause = ssf.Cause("lag", "+ k*x", "k", by="way")
@@ -123,6 +124,7 @@ def test_a_needed_column_that_is_empty_is_refused(table):
         diagnose(table.assign(y=np.nan))
 
 
+@pytest.mark.slow
 def test_rows_that_are_left_out_keep_their_place_in_the_order(table):
     gap = diagnose(put(table, "y", *[np.nan] * 2), time="order")
     seconds = gap.selection.problem.rows["session_seconds"].tolist()
@@ -153,6 +155,7 @@ def test_an_exact_fit_and_sessions_without_scatter_end_without_a_warning(table):
     assert diagnose(short, generic_causes=None, session="s").table.rows == N
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("column", "mark"), [("y", -999), ("x", 9999.9), ("T", -99.0)])
 def test_a_number_of_nines_far_from_all_others_counts_as_empty_and_is_named(table, column, mark):
     answer = diagnose(put(table, column, mark, mark).astype({column: float}))

@@ -41,6 +41,7 @@ def test_correlated_noise_is_generalized_least_squares():
     assert errors[3] > 1.5 * plain.bse.iloc[3]
 
 
+@pytest.mark.slow
 def test_the_extended_laws_intervals_are_those_of_gls_given_the_noise(named):
     fit = named.extended_law()
     frame = bench(1, phi=0.6)
@@ -73,6 +74,7 @@ def two_runs(seed=5, n=300):
     return pd.concat([first.assign(run="a"), second.assign(run="b")], ignore_index=True)
 
 
+@pytest.mark.slow
 def test_parameters_of_many_short_sessions_have_intervals_that_cover_and_are_no_wider():
     """44 parameters, and noise in which 1,034 values count as about 57: 57 - 44 is no number of freedoms."""
     rng, within, reach = np.random.default_rng(1), [], []
@@ -150,6 +152,7 @@ def test_what_is_loaded_is_what_was_saved(named, saved):
     assert str(fit) == str(again)
 
 
+@pytest.mark.slow
 def test_generic_causes_and_sessions_are_saved(tmp_path):
     frame = two_runs(n=150)
     frame["F"] += 0.3 * (frame["t"] % 100.0) ** 2

@@ -60,6 +60,7 @@ def test_with_nothing_wrong_nothing_is_gained(nothing):
     assert gain.baseline == gain.extended == pytest.approx(0.2, rel=0.15)
 
 
+@pytest.mark.slow
 def test_groups_are_held_out_as_a_whole():
     frame = bench(1, n=180).assign(specimen=np.repeat(list("abcdef"), 30))
     diagnosis = ssf.diagnose_table(
@@ -92,6 +93,7 @@ def test_new_sessions_are_predicted_where_all_parameters_are_shared():
     assert sessions(()).gain_new_session is None
 
 
+@pytest.mark.slow
 def test_a_row_without_which_a_parameter_is_unknown_stays_in_training():
     frame = bench(1)
     frame["lamp"] = (np.arange(len(frame)) == 7).astype(float)
@@ -170,6 +172,7 @@ def test_an_extended_law_is_constant_beyond_the_rows_that_it_was_fitted_to():
     assert within[40] == within[0]
 
 
+@pytest.mark.slow
 def test_a_row_far_out_in_a_column_withdraws_nothing():
     """Held out, it is predicted by what the others show, in the interval of the gain, too."""
     rng = np.random.default_rng(4)
@@ -182,6 +185,7 @@ def test_a_row_far_out_in_a_column_withdraws_nothing():
     assert diagnosis.gain.low > 0
 
 
+@pytest.mark.slow
 def test_rows_that_few_parameters_explain_end_the_search():
     """Yearly calls in Belgium, 1950 to 1973, some of them counted in minutes (Rousseeuw and Leroy 1987)."""
     calls = [0.44, 0.47, 0.47, 0.59, 0.66, 0.73, 0.81, 0.88, 1.06, 1.2, 1.35, 1.49, 1.61, 2.12, 11.9, 12.4]

@@ -111,6 +111,7 @@ def test_columns_that_cannot_be_followed_are_explained():
     assert "80 different texts in 80 rows" in untestable["covariate:note"]
 
 
+@pytest.mark.slow
 def test_a_change_in_a_table_without_sessions_is_told_in_the_unit_of_its_time():
     """The Nile's annual flow fell by about 248 (1e8 m³) after 1898 (G. W. Cobb, Biometrika 65:243, 1978)."""
     from statsmodels.datasets import nile
@@ -126,6 +127,7 @@ def test_a_change_in_a_table_without_sessions_is_told_in_the_unit_of_its_time():
     assert "27.5 rows after the first row" in by_order
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("roles", "cause"), [({}, "covariate:place"), ({"position": "place"}, "unknown")], ids=["column", "place"]
 )
@@ -147,6 +149,7 @@ def test_a_narrow_peak_along_a_column_is_in_the_law(roles, cause, tmp_path):
     assert np.sqrt(np.mean((predicted - fresh["y"]) ** 2)) < 0.6 * 0.05
 
 
+@pytest.mark.slow
 def test_a_column_without_a_name_that_numbers_the_rows_is_no_candidate(tmp_path):
     """As R and pandas write it before all others; rows may well stand in the order of their values."""
     x = np.linspace(0.0, 1.0, 60)
@@ -186,6 +189,7 @@ def jump(n=120, at=80):
     return pd.DataFrame({"x": x, "y": y})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("column", "time"),
     [
@@ -214,6 +218,7 @@ def test_without_a_time_a_column_that_numbers_the_rows_is_a_column_like_others()
     assert [one.cause for one in found.findings] == ["covariate:no"]
 
 
+@pytest.mark.slow
 def test_a_constant_is_ahead_of_a_change_after_few_rows_and_every_likely_cause_is_told():
     """A background that the law of a decay lacks; a change 70 s after the first row fits as well."""
     rng, t = np.random.default_rng(2), 20.0 * np.arange(90)

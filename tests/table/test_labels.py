@@ -24,6 +24,7 @@ def lots(seed, number, rows, spread, name=str):
     return pd.DataFrame({"x": x, "lot": list(map(name, lot)), "y": y})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "rows", "name", "seed"),
     [
@@ -55,6 +56,7 @@ def versions_found(make, seeds):
     return [type(own[0].version) if own else None for own in found]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("logs", "least"), [(2, 2), pytest.param(4, 3, marks=pytest.mark.nightly)])
 def test_integers_are_labels_or_a_quantity_as_is_likelier(logs, least):
     def quantity(seed):
@@ -66,6 +68,7 @@ def test_integers_are_labels_or_a_quantity_as_is_likelier(logs, least):
     assert versions_found(quantity, range(logs)).count(ColumnDependence) >= least
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("logs", "least"), [(4, 4), pytest.param(8, 7, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(("number", "name"), [(6, int), (20, str)])
 def test_labels_that_do_nothing_are_not_named(number, name, logs, least):

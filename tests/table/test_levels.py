@@ -81,6 +81,7 @@ def test_a_finding_that_no_column_carries_is_drawn_over_its_own_effect():
     assert slopes == pytest.approx([1.0, 0.0], abs=0.1)
 
 
+@pytest.mark.slow
 def test_other_parameters_are_those_with_interactions():
     frame = table(2, offset=(0.0, 0.3, 0.0), slope=(0.0, 0.15, -0.1))
     frame = frame[frame["who"] != "Cy"].reset_index(drop=True)
@@ -96,6 +97,7 @@ def test_other_parameters_are_those_with_interactions():
     assert diagnosis.gain.extended < 0.7 * diagnosis.gain.baseline
 
 
+@pytest.mark.slow
 def test_values_of_a_quantity_are_not_told_as_names():
     rng = np.random.default_rng(6)
     angle, x = np.tile([10.0, 30.0, 50.0], 20), rng.uniform(0.5, 2.0, 60)
@@ -158,6 +160,7 @@ def test_derivatives_are_those_of_differences(version):
     np.testing.assert_allclose(extended.jacobian(rows, values), numeric, rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "least"), [(4, 4), pytest.param(8, 7, marks=pytest.mark.nightly)])
 def test_texts_that_do_nothing_are_not_named(number, least):
     seeds = range(10, 10 + number)

@@ -54,6 +54,7 @@ def test_a_response_or_role_in_the_wrong_case_is_found(table, given):
         ssf.fit_table(table, **given)
 
 
+@pytest.mark.slow
 def test_a_column_that_looks_like_a_parameter_is_said_to_be_one(table):
     answer = ssf.diagnose_table(table, "y ~ a + b*temperature", gain=False)
     assert answer.table.notes == ("a of the law is the column of that name, and no parameter.",)

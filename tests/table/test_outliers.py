@@ -25,6 +25,7 @@ def line():
     return pd.DataFrame({"x": x, "y": y})
 
 
+@pytest.mark.slow
 def test_rows_that_are_trusted_are_no_evidence_against_the_law(line):
     """Else nothing is wrong, and p is below the false-alarm rate."""
     problem, _ = problem_from_table(line, "y ~ a + b*x")
@@ -39,6 +40,7 @@ def test_rows_that_are_trusted_are_no_evidence_against_the_law(line):
     )
 
 
+@pytest.mark.slow
 def test_what_the_law_leaves_is_that_of_all_other_rows(line):
     found = ssf.diagnose_table(line, "y ~ a + b*x", gain=False)
     assert [one.cause for one in found.findings] == ["outliers"]
@@ -48,6 +50,7 @@ def test_what_the_law_leaves_is_that_of_all_other_rows(line):
     assert f"of all others the law leaves {found.misfit:.3f} rms" in found.summary().headline[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("off", "rare"), [pytest.param((-50.0, -2.0), True, marks=pytest.mark.nightly), ((-2.0, 30.0), False)]
 )
@@ -68,6 +71,7 @@ def test_how_rare_a_value_far_off_is_is_told(off, rare):
     assert ("in only 1 of" in text) == rare
 
 
+@pytest.mark.slow
 def test_a_run_at_the_end_of_a_column_is_a_curve_and_scattered_values_are_outliers():
     rng = np.random.default_rng(3)
     x = np.linspace(0.0, 60.0, 61)
@@ -85,6 +89,7 @@ def test_a_run_at_the_end_of_a_column_is_a_curve_and_scattered_values_are_outlie
     assert len(found[1].findings[0].traverses) == 3
 
 
+@pytest.mark.slow
 def test_the_two_outliers_of_newcombs_times_of_light_are_named_and_one_in_few_rows_is():
     """66 times, two of them far off (S. M. Stigler, Ann. Stat. 5:1055, 1977); of 25 rows one, by 10 sigma."""
     rng = np.random.default_rng(0)
@@ -114,6 +119,7 @@ def test_in_noise_that_persists_an_outlier_is_told_from_a_change_that_lasts():
     assert found.selection.outliers.tolist() == [60]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "errors",
     [(-20.0, 200.0), *(pytest.param(one, marks=pytest.mark.nightly) for one in ((20.0, 200.0), (-0.5, 5.0)))],

@@ -78,6 +78,7 @@ def test_files_that_are_no_tables(tmp_path):
         assert message in faults(path, "a ~ k*b")[0]
 
 
+@pytest.mark.slow
 def test_a_file_gives_what_its_frame_gives(rows, tmp_path):
     rows.to_csv(tmp_path / "a.csv", index=False)
     rows.to_parquet(tmp_path / "a.parquet")
@@ -140,6 +141,7 @@ def test_a_date_that_may_be_read_in_two_ways_is_refused(rows):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cells", "note"),
     [
@@ -159,6 +161,7 @@ def test_the_answer_says_which_way_is_which(rows, cells, note):
     assert words.p_value == signed.p_value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "law", "is_guess"),
     [

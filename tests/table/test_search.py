@@ -24,6 +24,7 @@ def count_alarms(kind: str, sessions: int, length: int, number: int, seed: int =
     return sum(bool(search(rows, alpha=ALPHA).findings) for rows in tables)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "sessions", "length"),
     [
@@ -102,6 +103,7 @@ def test_a_lasting_change_in_a_signal_is_no_outlier():
     assert "sudden-change" in [one.cause for one in search(rows).findings]
 
 
+@pytest.mark.slow
 def test_memory_of_rows_at_irregular_times_is_unknown():
     rng = np.random.default_rng(4)
     rows = signal(rng, "0.9", 1, 200)
@@ -139,6 +141,7 @@ def test_a_law_that_fits_exactly_has_nothing_wrong():
     assert "no scatter" in diagnosis.untestable["drift"]
 
 
+@pytest.mark.slow
 def test_a_law_that_fits_exactly_with_a_cause_ends_the_search():
     rng = np.random.default_rng(4)
     rows = pd.DataFrame({"x": rng.normal(size=21), "year": np.arange(1921.0, 1942.0)})
@@ -147,6 +150,7 @@ def test_a_law_that_fits_exactly_with_a_cause_ends_the_search():
     assert diagnosis.gain.extended < 1e-6 * diagnosis.gain.baseline
 
 
+@pytest.mark.slow
 def test_a_response_that_is_the_time_itself_has_noise_of_no_likelihood_and_an_answer():
     rng = np.random.default_rng(1)
     rows = pd.DataFrame({"x": rng.normal(size=108), "time": np.arange(1.0, 109.0)})
@@ -155,6 +159,7 @@ def test_a_response_that_is_the_time_itself_has_noise_of_no_likelihood_and_an_an
     assert diagnosis.findings[0].effect.estimate == pytest.approx(np.std(rows["time"]), rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_table_of_mostly_zeros_has_an_answer():
     """A robust fit may run through all zeros, so that its scale is none."""
     rng = np.random.default_rng(1)
@@ -164,6 +169,7 @@ def test_a_table_of_mostly_zeros_has_an_answer():
     assert 0.0 < diagnosis.p_value <= 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1e-15, pytest.param(1e15, marks=pytest.mark.nightly)])
 def test_the_unit_of_the_response_does_not_matter(factor):
     rows, _ = with_effect(signal(np.random.default_rng(8), "white", 1, 80), "white", "drift", 14.0)

@@ -34,6 +34,7 @@ def rough(seed=1):
     return frame.assign(y=2.0 + 0.3 * frame["x"] + rng.standard_normal(15)[kinds] + noise)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "carrier"),
     [(wall, "x and z"), pytest.param(rough, "settings of x and who", marks=pytest.mark.nightly)],
@@ -47,6 +48,7 @@ def test_what_only_columns_together_show_is_found_and_predicted(make, carrier):
     assert diagnosis.gain.extended < 0.35 * diagnosis.gain.baseline
 
 
+@pytest.mark.slow
 def test_a_law_with_offsets_by_setting_is_saved_and_is_itself_at_other_settings(tmp_path):
     frame = rough()
     diagnosis = ssf.diagnose_table(frame, LAW, gain=False)
@@ -62,6 +64,7 @@ def test_a_law_with_offsets_by_setting_is_saved_and_is_itself_at_other_settings(
     assert predicted[2] - predicted[1] == pytest.approx(predicted[1] - predicted[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [5, pytest.param(200, marks=pytest.mark.nightly)])
 def test_replicates_of_a_right_law_raise_no_more_alarms_than_promised(number):
     alarms = 0

@@ -44,6 +44,7 @@ def test_what_is_withdrawn_is_said_with_its_own_size(named):
     assert factors["unknown"] == "> 1,000,000"
 
 
+@pytest.mark.slow
 def test_of_an_estimate_of_zero_the_most_that_it_may_be_is_told(days):
     """Barely detected: the estimate is 0, given that it was."""
     answer = withdraw(days, Interval(0.0, 0.0, 0.378))
@@ -77,6 +78,7 @@ def test_no_size_is_shown_as_zero_that_is_not_zero():
         assert float(shown.split("×")[0].replace(",", "")) > 0, shown
 
 
+@pytest.mark.slow
 def test_structure_of_which_no_cause_is_named_is_told_by_the_cause_that_it_is_most_like(days):
     """Not by the likeliest unstructured alternative, which may have nothing to do with it."""
     (one,) = days.selection.selected
@@ -91,6 +93,7 @@ def test_structure_of_which_no_cause_is_named_is_told_by_the_cause_that_it_is_mo
     assert "no cause that was searched" not in text
 
 
+@pytest.mark.slow
 def test_shares_of_a_structure_are_at_most_all_of_it():
     """Of a sudden change beside a law's parameters that all rows share."""
     rng = np.random.default_rng(7)

@@ -21,6 +21,7 @@ def names(found):
     return [one.cause for one in found.findings]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("course", "cause"),
     [(lambda s: 3.0 * s, "drift"), (lambda s: 1.2 * -np.expm1(-5.0 * s), "warm-up")],
@@ -33,6 +34,7 @@ def test_a_short_record_shows_a_change_that_is_nearly_all_of_it(course, cause):
     assert names(diagnose(y, t)) == [cause]
 
 
+@pytest.mark.slow
 def test_a_curve_beyond_a_line_is_no_noise_that_persists():
     """As regression says, a parabola of 15 times the noise; an autoregression of 50 rows follows it too."""
     t = np.linspace(0.0, 1.0, 50)
@@ -55,6 +57,7 @@ def test_a_few_cycles_are_a_period(cycles):
     assert one.version.period == pytest.approx(200 / cycles, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_fast_wave_is_found_in_slow_noise():
     """An hour's wave in noise that wanders 20 times as far over weeks."""
     rng, t = np.random.default_rng(5), np.arange(400.0)
@@ -82,6 +85,7 @@ def test_a_large_constant_changes_nothing():
     assert shifted.repeatability == pytest.approx(plain.repeatability, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("carried", "number"),
     [(0.95, 2), *(pytest.param(one, 8, marks=pytest.mark.nightly) for one in (0.95, 1.0))],
@@ -105,6 +109,7 @@ def flicker(rng, n):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seeds", "rate"),
     [
@@ -162,6 +167,7 @@ def test_what_a_law_lacks_in_each_session_in_its_own_way_is_no_noise_that_persis
     assert np.std(loaded.predict(frame)["predicted"] - frame["y"]) == pytest.approx(fit.rms, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [1, pytest.param(3, marks=pytest.mark.nightly)])
 def test_noise_that_persists_is_no_course_of_each_session(number):
     def wander(rng, n):
@@ -192,6 +198,7 @@ def test_coefficients_of_which_there_is_no_likelihood_are_no_reason_to_fail(monk
     assert found[0] == pytest.approx(0.8, abs=4 * np.sqrt((1 - 0.8**2) / 300))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [20, pytest.param(21, marks=pytest.mark.nightly)])
 def test_what_noise_that_persists_did_while_samples_are_missing_is_no_sudden_change(seed):
     rng, seconds = np.random.default_rng(seed), np.arange(300.0)
@@ -219,6 +226,7 @@ SLOW = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "shape",
     [
@@ -236,6 +244,7 @@ def test_a_polynomial_in_time_is_no_warm_up_no_drift_and_no_sudden_change(shape)
     assert [(one.cause, one.carrier) for one in found.findings] == [("unknown", "time")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cycles", "offset", "drift", "expected"),
     [

@@ -25,6 +25,7 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "bend", "formula"),
     [
@@ -51,6 +52,7 @@ def test_a_short_term_is_proposed_and_predicts_what_was_not_seen(law, bend, form
     assert rms(fit.predict(fresh)["predicted"] - fresh["y"]) < 0.25 * rms(before)
 
 
+@pytest.mark.slow
 def test_what_follows_two_columns_is_proposed_for_both_and_predicts(tmp_path):
     def bends(x, z):
         return 0.15 * (x - 5.0) ** 2 + 1.2 * np.tanh(4.0 * z)
@@ -75,6 +77,7 @@ def test_what_follows_two_columns_is_proposed_for_both_and_predicts(tmp_path):
     pd.testing.assert_frame_equal(predicted, ssf.load_table_fit(tmp_path / "law.json").predict(fresh))
 
 
+@pytest.mark.slow
 def test_what_a_proposal_only_comes_near_is_no_second_finding():
     rng = np.random.default_rng(10)
     x, own = rng.uniform(-1.0, 1.0, (2, 180))
@@ -84,6 +87,7 @@ def test_what_a_proposal_only_comes_near_is_no_second_finding():
     assert [one.carrier for one in diagnosis.findings] == ["x"]
 
 
+@pytest.mark.slow
 def test_where_no_short_term_does_a_smooth_function_predicts(tmp_path):
     def bump(x, z):
         return 2.0 * np.exp(-0.5 * ((x - 4.0) / 0.6) ** 2)
@@ -208,6 +212,7 @@ def test_columns_of_very_different_sizes_do_not_stop_a_fit():
     assert rms(found.extended_law().residuals["residual"]) == pytest.approx(0.05, rel=0.15)
 
 
+@pytest.mark.slow
 def test_an_alternative_by_direction_is_signed_before_the_noise_is_filtered():
     rng = np.random.default_rng(7)
     n = 300

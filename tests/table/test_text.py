@@ -43,6 +43,7 @@ def unnamed():
 CASES = ("named", "independent", "nothing", "outlying", "unnamed")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [pytest.param(one, marks=[pytest.mark.nightly] * (one in ("outlying", "independent"))) for one in CASES],
@@ -214,6 +215,7 @@ def days():
     return frame.assign(y=2 * frame["x"] + 5 + 0.3 * frame["T"] + noise)
 
 
+@pytest.mark.slow
 def test_a_generic_cause_is_named_with_its_column_and_sessions_stand_in_their_order():
     law = ssf.Law("y ~ slope*x + offset", units={"y": "mV", "x": "mm", "slope": "mV/mm", "offset": "mV"})
     diagnosis = ssf.diagnose_table(days(), law, session="day")
@@ -243,6 +245,7 @@ def test_rows_have_the_numbers_that_they_have_in_the_file():
     assert sorted(int(row[0]) for row in table.rows) == [31, 62]
 
 
+@pytest.mark.slow
 def test_where_nothing_is_wrong_the_rows_to_check_are_told():
     rng = np.random.default_rng(0)
     frame = pd.DataFrame({"x": rng.normal(27.0, 5.0, 66).round()})

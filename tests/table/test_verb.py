@@ -43,6 +43,7 @@ def run(*arguments):
     return CliRunner().invoke(app, ["diagnose-table", *arguments])
 
 
+@pytest.mark.slow
 def test_text_json_page_and_law(desk):
     outputs = ["--json", "out.json", "--report", "out.html", "--save-law", "law.json"]
     done = run("bench.csv", "--law", "friction.toml", *outputs)

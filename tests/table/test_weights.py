@@ -31,6 +31,7 @@ def text_of(result):
     return " ".join(str(result).split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [5000, *(pytest.param(k, marks=pytest.mark.nightly) for k in (5005, 5006))])
 def test_counts_that_follow_their_law_raise_no_alarm(seed):
     """Where all rows count alike, each of these does."""
@@ -59,6 +60,7 @@ def test_an_effect_that_grows_is_no_noise_that_does(effect):
     assert (found.verdict == "nothing wrong") == (effect == 0.0)
 
 
+@pytest.mark.slow
 def test_an_effect_in_noise_that_grows_is_named_with_its_size():
     rng = np.random.default_rng(3)
     x, temperature = rng.uniform(0.2, 20.0, 100), rng.normal(21.0, 1.0, 100)
@@ -120,6 +122,7 @@ def test_sigma_weighs_rows_and_only_its_ratios_count():
     assert fit.predict(frame.drop(columns="u"))["predicted"].to_numpy() == pytest.approx(a + b * x)
 
 
+@pytest.mark.slow
 def test_the_scale_of_sigma_is_told_and_sigma_is_no_candidate():
     found = ssf.diagnose_table(decay(1), DECAY, time="t", sigma="u", gain=False)
     assert found.verdict == "nothing wrong"
@@ -136,6 +139,7 @@ def test_what_is_no_uncertainty_is_refused(cell, why):
         ssf.diagnose_table(frame, DECAY, sigma="u")
 
 
+@pytest.mark.slow
 def test_sigma_is_an_option_and_a_role_of_law_files(tmp_path):
     data, law = tmp_path / "decay.csv", tmp_path / "decay.toml"
     decay(1).to_csv(data, index=False)

@@ -24,6 +24,7 @@ def test_a_frame_is_called_by_its_response(independent):
     assert "Law fitted to y over 9 rows" in str(fit)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("course", "said", "parameter"),
     [
@@ -97,6 +98,7 @@ def test_without_a_time_rows_count_as_independent_and_neighbours_that_are_alike_
     assert ("name 'order' as the time, which allows for" in text) == is_told
 
 
+@pytest.mark.slow
 def test_of_noise_that_persists_too_long_it_is_said_that_nothing_can_be_shown():
     """A random walk: its values tell as much as a few, whatever their number."""
     walk = np.cumsum(np.random.default_rng(1).standard_normal(400))
@@ -108,6 +110,7 @@ def test_of_noise_that_persists_too_long_it_is_said_that_nothing_can_be_shown():
     assert "as noise alone would" not in first
 
 
+@pytest.mark.slow
 def test_a_law_that_is_worse_than_the_mean_is_flagged_first(independent):
     table = independent.table
     for factor, flagged in ((0.9, False), (3.0, True)):
@@ -143,6 +146,7 @@ def test_a_wave_is_called_one(independent):
     assert name_finding(replace(wave, carrier="T")) == "unknown: smooth function"
 
 
+@pytest.mark.slow
 def test_a_row_to_check_is_told_with_its_departure_from_what_the_rows_before_foretell():
     """Of a random walk that is its step, not its distance from the mean."""
     steps = np.random.default_rng(1).standard_normal(400)
