@@ -262,7 +262,9 @@ class DiagnosisProblem:
             replace(part, values=fitted.values[:, : part.values.shape[1]])
             for part, fitted in zip(self.parts, fit.parts, strict=True)
         )
-        return replace(self, parts=near).fit_extended(versions, fit.values)
+        again = replace(self, parts=near)
+        # One that has not converged is the best of all its restarts.
+        return again.fit_extended(versions, fit.values) if fit.converged else again._fit(versions, fit.values)
 
     def fit_extended(self, versions: Sequence[Any] = (), start: Array | None = None) -> ExtendedFit:
         """The baseline extended by causes, refitted.
