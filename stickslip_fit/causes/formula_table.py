@@ -24,10 +24,8 @@ MAX_PARAMETERS = 8
 MAX_NAMES_SHOWN = 40
 MAX_EFFECT = 30.0  # of the scatter about the law, in trials of what is not linear in any parameter
 MIN_SCATTER = 1e-6  # of the response's standard deviation; less is rounding
-# Stages of what is added, with those in which causes of the law change what it adds.
-_BESIDE: dict[Stage, tuple[Stage, ...]] = {
-    stage: ("column", "measurement", "factor") for stage in ("term", "measurement")
-}
+# Stages of what is added, with those in which causes of the law change it before it is added.
+_BESIDE: dict[Stage, set[Stage]] = {"term": {"column"}, "measurement": {"column", "measurement", "factor"}}
 _STAGES: dict[str, Stage] = {"+": "term", "*": "factor", "=": "column"}
 
 
@@ -87,10 +85,11 @@ class FormulaTableCause(FormulaTrials, TableCause):
     def _changes_without_slopes(
         self, law: TableLaw | ExtendedTableLaw, rows: Rows, values: Array, trials: Array
     ) -> Array:
-        """Of what is added, the formula's value, without the derivatives that the law's model has."""
+        """Of what is added, without the derivatives that the law's model has."""
         base, others = (law.law, law.causes) if isinstance(law, ExtendedTableLaw) else (law, ())
         stage = self.stage_in(base.response_name)
-        if stage not in _BESIDE or any(one.stage_in(base.response_name) in _BESIDE[stage] for one in others):
+        beside = {one.stage_in(base.response_name) for one in others}
+        if stage not in _BESIDE or beside & _BESIDE[stage]:
             return super().changes(law, rows, values, trials)
         n, names = len(values), self.source.effect.names
         known = dict(zip(base.parameter_names, values.T, strict=False))
@@ -105,6 +104,11 @@ class FormulaTableCause(FormulaTrials, TableCause):
                 tried = np.where(inside[:, None], trial[places], null[places])
                 effect = self.limited.evaluate(known | dict(zip(self.order, tried.T, strict=True)))
                 changes[:, k] = np.broadcast_to(effect, (n,))
+        if isinstance(law, ExtendedTableLaw) and beside & {"measurement", "factor"}:
+            total, respond = law.split_at_terms(rows, values)
+            before = respond(total)
+            for change in changes.T:
+                change[:] = respond(total + change) - before
         return changes
 
 

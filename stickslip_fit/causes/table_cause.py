@@ -11,6 +11,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import prod
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -208,6 +209,30 @@ class ExtendedTableLaw:
             return total, slopes
 
         return predict
+
+    def split_at_terms(self, rows: Rows, values: Array) -> tuple[Array, Callable[[Array], Array]]:
+        """What the law and the terms add up to, shape (n,), and from such a sum to the response.
+
+        Of causes none of which replaces a column. Those that depend on the response, or multiply it, act on
+        the sum of all terms.
+        """
+        names, response = self.law.parameter_names, self.law.response_name
+        known = self.law.quantities(rows) | dict(zip(names, values.T, strict=False))
+        effects = [
+            (cause.stage_in(response), places, cause.effect(self._clip(rows, cause), (*names, response)))
+            for cause, places in self._places
+        ]
+
+        def evaluate(stage: Stage, state: Mapping[str, Array]) -> list[Array]:
+            return [effect(state, values[:, places])[0] for own, places, effect in effects if own == stage]
+
+        def respond(total: Array) -> Array:
+            state = known | {response: total}
+            measured = sum(evaluate("measurement", state), start=total)
+            return np.broadcast_to(prod(evaluate("factor", state), start=measured), (len(values),))
+
+        terms = evaluate("term", known)
+        return sum(terms, start=self.law.predict(rows, values[:, : len(names)])), respond
 
     def _clip(self, rows: Rows, cause: TableCause) -> Rows:
         """Rows within what is known of a cause's columns."""

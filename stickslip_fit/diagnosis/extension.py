@@ -216,17 +216,20 @@ class Extension:
 
 
 def extend_problem(
-    problem: DiagnosisProblem, selected: Sequence[SelectedCause], fit: ExtendedFit | None = None
+    problem: DiagnosisProblem, selected: Sequence[SelectedCause], tried: ExtendedFit | None = None
 ) -> Extension:
     """The problem with causes in its laws, the noise re-estimated, and the fit.
 
-    A `fit` of the same laws to the problem as it is need not be made again.
+    A fit of these laws that was `tried` and converged is begun again, its law as it is without the causes: it
+    may have ended in a minimum that is not the lowest. All its restarts are behind one that did not converge.
     """
     causes = law_causes(selected)
     start = np.concatenate([np.zeros(0), *(one.start for one in causes)])
     versions = [one.version for one in causes]
-    if fit is None or any(isinstance(one, CarryOverTerm) for one in versions):
+    if tried is None or tried.converged or any(isinstance(one, CarryOverTerm) for one in versions):
         problem, fit = _fit_with_departures(problem, versions, start)
+    else:
+        fit = tried
     correlated = problem.with_autocorrelation(fit)
     if correlated is not problem:
         problem, fit = correlated, correlated.refit_extended(versions, fit)
@@ -243,11 +246,11 @@ def extend_problem(
 
 
 def try_extension(
-    problem: DiagnosisProblem, selected: Sequence[SelectedCause], fit: ExtendedFit | None = None
+    problem: DiagnosisProblem, selected: Sequence[SelectedCause], tried: ExtendedFit | None = None
 ) -> Extension | None:
     """The same of causes that are tried only; None where their laws have no finite fit."""
     try:
-        return extend_problem(problem, selected, fit)
+        return extend_problem(problem, selected, tried)
     except np.linalg.LinAlgError:
         return None
 
