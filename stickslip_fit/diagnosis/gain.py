@@ -56,8 +56,9 @@ MIN_SQUARE = 1e-300
 CLEAR_DISTANCE = 3.0  # standard errors between two laws, by which rows tell one from the other
 MIN_JOINT_STRENGTH = 1.0  # of an effect in a joint, in standard errors; less is not seen in all rows either
 FOLD_SEED = 0  # the same for all logs: folds follow from the design, so that a replicate has the same
-MAX_SERIAL_ROWS = 1000  # above, processes share the splits
-MAX_SERIAL_SECONDS = 30.0  # of the splits still to search, above which processes share them, too
+MAX_SERIAL_ROWS = 2000  # above, processes share the splits
+# For which processes share them, too: each takes some 4 s of CPU to begin.
+MIN_SAVED_SECONDS = 25.0
 PROGRESS_START, PROGRESS_END = 0.2, 0.95  # shares of a diagnosis's work
 PROGRESS_STEP = "predicting held-out traverses"
 
@@ -108,7 +109,7 @@ def measure_gain(
     """Measure what each finding, and all of them together, gain on held-out traverses.
 
     Without a machine, whose calibration traverses a new session has, no gain there is measured. `workers` are
-    processes, -1 for all cores; what takes less than `MAX_SERIAL_SECONDS` needs one.
+    processes, -1 for all cores; more than one take part where they save `MIN_SAVED_SECONDS`.
 
     Returns
     -------
@@ -300,7 +301,7 @@ def _run_tasks[T](tasks: Sequence[Callable[[], T]], workers: int, at_once: bool)
     if not at_once and tasks:
         began = perf_counter()
         result, tasks = tasks[0](), tasks[1:]
-        at_once = (perf_counter() - began) * len(tasks) > MAX_SERIAL_SECONDS
+        at_once = _save_seconds((perf_counter() - began) * len(tasks), len(tasks), workers)
         yield result
     if at_once and len(tasks) > 1:
         from joblib import Parallel, delayed
@@ -308,6 +309,15 @@ def _run_tasks[T](tasks: Sequence[Callable[[], T]], workers: int, at_once: bool)
         yield from Parallel(n_jobs=workers, return_as="generator")(delayed(task)() for task in tasks)
     else:
         yield from (task() for task in tasks)
+
+
+def _save_seconds(alone: float, tasks: int, workers: int) -> bool:
+    """Whether processes that share tasks, which one would do in so many seconds, save enough of these."""
+    if alone <= MIN_SAVED_SECONDS:
+        return False
+    from joblib import effective_n_jobs
+
+    return alone * (1.0 - 1.0 / min(effective_n_jobs(workers), tasks)) > MIN_SAVED_SECONDS
 
 
 def _leave_out_stalls(splits: Sequence[Split], errors: Array) -> tuple[Sequence[Split], Array]:

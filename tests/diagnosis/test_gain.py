@@ -254,7 +254,7 @@ def test_where_nothing_is_wrong_nothing_is_gained_and_no_fold_is_searched(proble
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("limit", ["MAX_SERIAL_ROWS", "MAX_SERIAL_SECONDS"])
+@pytest.mark.parametrize("limit", ["MAX_SERIAL_ROWS", "MIN_SAVED_SECONDS"])
 def test_the_number_of_processes_makes_no_difference(problem, monkeypatch, limit):
     monkeypatch.setattr(gain, limit, 0)  # or this small log would never have two
     own_problem = replace(
