@@ -220,13 +220,12 @@ def extend_problem(
 ) -> Extension:
     """The problem with causes in its laws, the noise re-estimated, and the fit.
 
-    A fit of these laws that was `tried` and converged is begun again, its law as it is without the causes: it
-    may have ended in a minimum that is not the lowest. All its restarts are behind one that did not converge.
+    A fit of these laws that was `tried` is not made again.
     """
     causes = law_causes(selected)
     start = np.concatenate([np.zeros(0), *(one.start for one in causes)])
     versions = [one.version for one in causes]
-    if tried is None or tried.converged or any(isinstance(one, CarryOverTerm) for one in versions):
+    if tried is None or any(isinstance(one, CarryOverTerm) for one in versions):
         problem, fit = _fit_with_departures(problem, versions, start)
     else:
         fit = tried
@@ -415,6 +414,19 @@ def fit_causes(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> 
     causes = law_causes(selected)
     start = np.concatenate([np.zeros(0), *(one.start for one in causes)])
     return problem.fit_extended([one.version for one in causes], start)
+
+
+def fit_trial(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> ExtendedFit:
+    """The same where the last cause starts from a trial, which may end in a minimum that is not the lowest.
+
+    In a table, whose causes may be anything, the fit is begun again with the causes that it found and the law
+    as it is without them.
+    """
+    first = fit_causes(problem, selected)
+    if not first.converged or any(hasattr(part.law, "joint") for part in problem.parts):
+        return first
+    again = problem.fit_extended([one.version for one in law_causes(selected)], first.values)
+    return min(first, again, key=problem.chi_square)
 
 
 def make_selected(

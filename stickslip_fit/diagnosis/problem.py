@@ -278,13 +278,13 @@ class DiagnosisProblem:
             return best
         absent = np.concatenate([np.array(version.null_values, dtype=float) for version in versions])
         for share in (*RESTART_SHARES, 0.0):
-            if not share and np.isfinite(self._chi_square(best)):
+            if not share and np.isfinite(self.chi_square(best)):
                 break
             nearer = np.where(_are_sizes(versions), absent + share * (start - absent), start)
             if np.array_equal(nearer, start):
                 break
             fit = self._fit(versions, nearer)
-            if fit.converged or self._chi_square(fit) < self._chi_square(best):
+            if fit.converged or self.chi_square(fit) < self.chi_square(best):
                 best = fit
             if best.converged:
                 break
@@ -302,7 +302,8 @@ class DiagnosisProblem:
             noise_filter=self.noise_filter,
         )
 
-    def _chi_square(self, fit: ExtendedFit) -> float:
+    def chi_square(self, fit: ExtendedFit) -> float:
+        """The sum of squared residuals in units of the noise; infinite where a prediction is no number."""
         total = float(np.sum(whiten(fit.residual, self.scale, self.noise_filter) ** 2))
         return total if np.isfinite(total) else np.inf
 

@@ -17,6 +17,7 @@ from stickslip_fit.diagnosis.extension import (
     Extension,
     SelectedCause,
     fit_causes,
+    fit_trial,
     law_causes,
     make_selected,
     try_extension,
@@ -86,7 +87,7 @@ def refit_likeliest(problem: DiagnosisProblem, selected: Sequence[SelectedCause]
         trial = make_selected(misfit, form_cause_set(misfit, cause))
         one = refine_trial(trial, before)
         try:
-            fit = fit_causes(problem, [*selected, one])
+            fit = fit_trial(problem, [*selected, one])
             after = problem.linearize_extended(fit)
         except np.linalg.LinAlgError:
             failed.append(cause)
