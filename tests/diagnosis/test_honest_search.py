@@ -183,12 +183,7 @@ def test_a_cause_whose_eigenvalues_do_not_converge_is_dropped_with_a_note(monkey
 
 
 def test_a_cause_whose_fit_fails_is_dropped_with_a_note(monkeypatch):
-    real = refits.fit_causes
-    monkeypatch.setattr(
-        refits,
-        "fit_causes",
-        lambda problem, selected: failing() if selected else real(problem, selected),
-    )
+    monkeypatch.setattr(refits, "fit_trial", lambda *_: failing())
     found = diagnose(stribeck(0.3), bump(bounds=BOUNDED))
     assert "stribeck" not in [finding.cause for finding in found.findings]
     assert "could not be fitted" in found.untestable["stribeck"]
@@ -199,7 +194,7 @@ def test_laws_without_a_finite_fit_are_no_rivals(monkeypatch):
     """Whatever is tried beside or in place of what was found."""
     tried = []
 
-    def failing_for_trials(problem, selected):
+    def failing_for_trials(problem, selected, _=None):
         tried.append([one.cause for one in selected])
         failing()
 
