@@ -417,10 +417,10 @@ def fit_causes(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> 
 
 
 def fit_trial(problem: DiagnosisProblem, selected: Sequence[SelectedCause]) -> ExtendedFit:
-    """The same where the last cause starts from a trial, which may end in a minimum that is not the lowest.
+    """The laws refitted with the selected causes, the last of which starts from a trial of its parameters.
 
-    In a table, whose causes may be anything, the fit is begun again with the causes that it found and the law
-    as it is without them.
+    Such a fit may end in a minimum that is not the lowest. In a table, whose causes may be anything, it is
+    begun again with the causes that it found and the law as it is without them.
     """
     first = fit_causes(problem, selected)
     if not first.converged or any(hasattr(part.law, "joint") for part in problem.parts):

@@ -57,8 +57,7 @@ CLEAR_DISTANCE = 3.0  # standard errors between two laws, by which rows tell one
 MIN_JOINT_STRENGTH = 1.0  # of an effect in a joint, in standard errors; less is not seen in all rows either
 FOLD_SEED = 0  # the same for all logs: folds follow from the design, so that a replicate has the same
 MAX_SERIAL_ROWS = 2000  # above, processes share the splits
-# For which processes share them, too: each takes some 4 s of CPU to begin.
-MIN_SAVED_SECONDS = 25.0
+MIN_SAVED_SECONDS = 25.0  # for which they share them, too; each takes some 4 s of CPU to begin
 PROGRESS_START, PROGRESS_END = 0.2, 0.95  # shares of a diagnosis's work
 PROGRESS_STEP = "predicting held-out traverses"
 
@@ -301,7 +300,7 @@ def _run_tasks[T](tasks: Sequence[Callable[[], T]], workers: int, at_once: bool)
     if not at_once and tasks:
         began = perf_counter()
         result, tasks = tasks[0](), tasks[1:]
-        at_once = _save_seconds((perf_counter() - began) * len(tasks), len(tasks), workers)
+        at_once = _save_enough((perf_counter() - began) * len(tasks), len(tasks), workers)
         yield result
     if at_once and len(tasks) > 1:
         from joblib import Parallel, delayed
@@ -311,8 +310,8 @@ def _run_tasks[T](tasks: Sequence[Callable[[], T]], workers: int, at_once: bool)
         yield from (task() for task in tasks)
 
 
-def _save_seconds(alone: float, tasks: int, workers: int) -> bool:
-    """Whether processes that share tasks, which one would do in so many seconds, save enough of these."""
+def _save_enough(alone: float, tasks: int, workers: int) -> bool:
+    """Whether processes that share tasks save enough of the seconds that one alone would take."""
     if alone <= MIN_SAVED_SECONDS:
         return False
     from joblib import effective_n_jobs
