@@ -21,7 +21,7 @@ from tests.hidden.physics import Array, Place
 CLOSE = 1e-3
 _NOTHING = 1e-6
 _STEP, _RANK = 1e-4, 1e-6
-_REFITS = 12
+_REFITS, _DAMPING = 60, 1e-6
 
 
 class Ruler:
@@ -91,23 +91,41 @@ def recalibrations(campaign: Campaign, weights: Array) -> Array:
 
 
 def _refit(campaign: Campaign, change: Array) -> Array:
-    """What parameters of each session and direction leave of changes of log counts, (n,): least squares."""
+    """What parameters of each session and direction leave of changes of log counts, (n,): least squares.
+
+    By Levenberg and Marquardt's steps, each group with a damping of its own: undamped ones take the
+    parameters of few rows to where the law bends, and may end there.
+    """
     left = np.empty(len(campaign))
     for place in campaign.places:
-        group = 2 * campaign.plan.session[place.rows] + (campaign.plan.forward[place.rows] > 0)
-        before, moved = _log_counts(place), place
-        left[place.rows] = change[place.rows]
+        rows = place.rows
+        group = 2 * campaign.plan.session[rows] + (campaign.plan.forward[rows] > 0)
+        _, group = np.unique(group, return_inverse=True)
+        before, moved, now = _log_counts(place), place, change[rows]
+        damping = np.zeros(group.max() + 1)
         for _ in range(_REFITS):
-            jacobian, shares = _jacobian(moved), np.zeros((len(place.rows), len(place.values)))
-            for each in np.unique(group):
-                subset = np.flatnonzero(group == each)
-                shares[subset] = np.linalg.lstsq(jacobian[subset], left[place.rows[subset]], _RANK)[0]
-            while not np.isfinite(further := _log_counts(stepped := _scaled(moved, 1 + shares))).all():
-                shares /= 2  # the joint would come to a halt
-            moved, left[place.rows] = stepped, change[place.rows] - further + before
+            jacobian, shares = _jacobian(moved), np.zeros((len(rows), len(place.values)))
+            for each, damped in enumerate(damping):
+                subset = group == each
+                shares[subset] = _damped_step(jacobian[subset], now[subset], damped)
+            stepped = _scaled(moved, 1 + shares)
+            after = change[rows] - _log_counts(stepped) + before
+            better = np.bincount(group, after**2) <= np.bincount(group, now**2)  # not where a joint halts
+            moved = _scaled(moved, 1 + shares * better[group, None])
+            now = np.where(better[group], after, now)
+            damping = np.where(better, damping / 10, np.maximum(10 * damping, _DAMPING))
             if np.abs(shares).max() < _NOTHING:
                 break
+        left[rows] = now
     return left
+
+
+def _damped_step(jacobian: Array, left: Array, damping: float) -> Array:
+    """Shares of the parameters, (p,), that take away most of what is left, (n,), if they are small."""
+    held = np.sqrt(damping) * np.diag(np.linalg.norm(jacobian, axis=0))
+    target = np.concatenate([left, np.zeros(len(held))])
+    step: Array = np.linalg.lstsq(np.concatenate([jacobian, held]), target, _RANK)[0]
+    return step
 
 
 def _log_counts(place: Place) -> Array:

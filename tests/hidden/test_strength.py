@@ -43,6 +43,16 @@ def test_strength_is_what_refitting_the_baseline_leaves(name, noise):
 
 
 @pytest.mark.slow
+def test_sessions_of_few_rows_are_refitted_to_the_least_that_can_be_left():
+    # Undamped steps end at 4 % in a session of seven traverses, which is 0.35 %.
+    hidden = hide("many", ("bearing-runout",), 25, "uneven", seed=8900035)
+    campaign, log_counts = hidden.campaign, np.log(hidden.expected())
+    (effect,) = hidden.truth["effects"]
+    even = _left_by_refitting(campaign, log_counts, np.ones(len(campaign))) / np.sqrt(len(campaign))
+    assert effect["effect_rms_pct"] == pytest.approx(100 * even, rel=1e-4)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "form"), [(name, form) for name in EFFECTS for form in EFFECTS[name]])
 def test_every_form_has_the_strength_asked_for(name, form):
     # The first campaign that has what the form needs: half of them write down no payload.
