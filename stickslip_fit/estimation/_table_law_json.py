@@ -8,7 +8,7 @@ from typing import Any
 
 from stickslip_fit._expression import parse_expression
 from stickslip_fit._json import to_plain, to_tuples
-from stickslip_fit.causes import generic, levels, periodic, table_terms
+from stickslip_fit.causes import generic, levels, periodic, table_terms, zeros
 from stickslip_fit.causes.formula import restore_formula_cause
 from stickslip_fit.causes.formula_table import FormulaTableCause
 from stickslip_fit.causes.parameters import CauseParameter
@@ -17,7 +17,7 @@ from stickslip_fit.errors import InputError
 from stickslip_fit.laws import Parameter, TableLaw, restore_formula_law
 from stickslip_fit.units import TableUnit
 
-_MODULES = {module.__name__: module for module in (generic, levels, periodic, table_terms)}
+_MODULES = {module.__name__: module for module in (generic, levels, periodic, table_terms, zeros)}
 Functions = Mapping[str, Callable[..., Any]]
 """Python functions by the name that imports them."""
 

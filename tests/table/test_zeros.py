@@ -6,6 +6,8 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit.causes import TableRoles, generic_causes, prepare_rows
+from stickslip_fit.causes.generic import GenericCause
+from stickslip_fit.estimation import _table_law_json
 
 
 def spring():
@@ -28,14 +30,19 @@ def lens():
         (lens, "zero-of:u", -0.006),
     ],
 )
-def test_a_wrong_zero_is_named_with_its_size(make, name, size):
-    diagnosis = ssf.diagnose_table(*make())
+def test_a_wrong_zero_is_named_with_its_size_and_saved(make, name, size, tmp_path):
+    frame, law = make()
+    diagnosis = ssf.diagnose_table(frame, law)
     (finding,) = diagnosis.findings
     (parameter,) = finding.parameters
     assert finding.cause == name
     assert parameter.size.low < size < parameter.size.high
     assert diagnosis.gain.extended < 0.5 * diagnosis.gain.baseline
-    assert parameter.size.low < diagnosis.extended_law().parameters["estimate"].iloc[-1] < parameter.size.high
+    extended = diagnosis.extended_law()
+    assert parameter.size.low < extended.parameters["estimate"].iloc[-1] < parameter.size.high
+    extended.save(tmp_path / "law.json")
+    restored = ssf.load_table_fit(tmp_path / "law.json")
+    pd.testing.assert_frame_equal(restored.predict(frame), extended.predict(frame))
 
 
 @pytest.mark.nightly
@@ -69,3 +76,11 @@ def test_what_a_parameter_absorbs_is_no_candidate(law, names):
     bound = ssf.Law(law).bind_table(rows)
     found = {one.name for one in generic_causes(rows, bound, roles)}
     assert found - {"outliers"} == names
+
+
+def test_every_kind_of_generic_cause_can_be_saved():
+    def kinds_of(kind):
+        return {kind}.union(*map(kinds_of, kind.__subclasses__()))
+
+    unsaved = {one.__module__ for one in kinds_of(GenericCause)} - set(_table_law_json._MODULES)
+    assert not {name for name in unsaved if name.startswith("stickslip_fit.")}
