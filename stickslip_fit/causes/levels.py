@@ -40,6 +40,7 @@ MAX_LEVELS, MIN_ROWS_PER_LEVEL = 12, 3  # of a column of integers, and for other
 MAX_POOLED, MIN_ROWS_PER_POOLED = 60, 2  # of a column of texts
 MAX_CELLS = 150_000  # rows times labels of a column of more than `MAX_LEVELS` texts, which take half a minute
 MAX_NAMED = 12  # labels in a message
+MIN_SPREAD = 1e-6  # of the response's derivatives by a parameter, which else is an offset
 
 
 def name_levels(cells: Any) -> Array:
@@ -281,7 +282,15 @@ class LevelDependence(LevelCause, AddedTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class ParametersByLevel(LevelCause):
-    """The law's parameters are not the same at all values of a column of labels."""
+    """The law's parameters are not the same at all values of a column of labels.
+
+    Attributes
+    ----------
+    varied : tuple of str
+        Names of those that may not be the same; without, all of them.
+    """
+
+    varied: tuple[str, ...] = ()
 
     sentence = "The law has other parameters where {column} is {others}, not {first}{how}"
     adds_to_simpler: ClassVar[bool] = True  # to offsets
@@ -289,7 +298,7 @@ class ParametersByLevel(LevelCause):
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`: parameter by parameter."""
-        each = [(own, level) for own in self.law.parameters for level in self.named]
+        each = [(self.law.parameters[one], level) for one in self._varied for level in self.named]
         return tuple(
             CauseParameter(
                 own.name if len(self.levels) == 2 else f"{own.name}[{level}]",
@@ -303,7 +312,8 @@ class ParametersByLevel(LevelCause):
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `GenericCause`: as large an effect on the response by each parameter."""
-        each = [self.size / slope if slope > 0 else 0.0 for slope in self.slopes]
+        slopes = [self.slopes[one] for one in self._varied]
+        each = [self.size / slope if slope > 0 else 0.0 for slope in slopes]
         return tuple(np.repeat(each, len(self.named)).tolist())
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
@@ -317,7 +327,7 @@ class ParametersByLevel(LevelCause):
 
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
         """See `TableCause`: the law with other parameters less the law."""
-        inside, own_names = self.indicators(rows), self.law.parameter_names
+        inside, own_names = self.indicators(rows), [self.law.parameter_names[one] for one in self._varied]
         by = tuple(dict.fromkeys([*own_names, *(name for name in variable if name in self.law.right.names)]))
         function, n, width = self.law.right.function(by), len(inside), len(self.named)
 
@@ -337,8 +347,14 @@ class ParametersByLevel(LevelCause):
     def changes(self, law: object, rows: Rows, values: Array, trials: Array) -> Array:
         """See `Cause`: by the derivatives without effect, since trials are small and many."""
         slopes = self.law.jacobian(rows, values[:, : len(self.law.parameters)])
-        own = (slopes[:, :, None] * self.indicators(rows)[:, None]).reshape(len(values), -1)
+        own = (slopes[:, self._varied, None] * self.indicators(rows)[:, None]).reshape(len(values), -1)
         return np.asarray(own @ trials.T)
+
+    @property
+    def _varied(self) -> list[int]:
+        """The places of those parameters among the law's."""
+        names = self.law.parameter_names
+        return [place for place, name in enumerate(names) if not self.varied or name in self.varied]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -351,6 +367,48 @@ class PooledParameters(PooledLevels, ParametersByLevel):
     """As `ParametersByLevel`, of many levels."""
 
     sentence = "The law has other parameters {at_each}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParametersBySession(ParametersByLevel):
+    """Parameters that all sessions share are not the same in two of them."""
+
+    base_name = "parameters-by-session"
+    base_phrase = "the law has not the same parameters in every session"
+    physics = (
+        "What is mounted, charged or set anew before a session, or a unit that is another one than before."
+    )
+    shows_best = "the same conditions in every session"
+    sentence = "The law has other parameters in session {others} than in {first}{how}"
+    remedy = "calibrating each session"
+    columns = ("session",)
+    texts = ()
+
+    def find_unknown(self, frame: pd.DataFrame) -> list[InputIssue]:
+        """See `LevelCause`: none, a new session is as the mean of all."""
+        return []
+
+
+@dataclass(frozen=True, kw_only=True)
+class PooledParametersBySession(PooledParameters, ParametersBySession):
+    """As `ParametersBySession`, of three sessions or more."""
+
+    sentence = (
+        "The law has not the same parameters in every session: {name} is furthest from the mean of all, by "
+        "{change}, in {session}"
+    )
+
+    def quantities(self, sizes: Sizes) -> Mapping[str, object]:
+        """See `GenericCause`: of the parameter that changes the response most where it is furthest off."""
+        own = {name: one for name, one in sizes.items() if isinstance(one, SizedParameter)}
+        effect = {
+            name: abs(one.size.estimate) / scale
+            for (name, one), scale in zip(own.items(), self.scale, strict=True)
+        }
+        furthest = max(effect, key=effect.__getitem__)
+        name, session = furthest.removesuffix("]").split("[", 1)
+        change = format_measured(own[furthest].size, own[furthest].unit)
+        return {**super().quantities(sizes), "name": name, "session": session, "change": change}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -394,6 +452,30 @@ class IntegerDependence(ColumnDependence):
 
     def with_functions(self, term: Any) -> None:
         """See `Cause.with_functions`: the labels are its most flexible form."""
+
+
+def session_parameters(
+    rows: pd.DataFrame, law: TableLaw, y: Array, unit: str, size: float
+) -> list[ParametersBySession]:
+    """A cause for the parameters that sessions share, but for those that only add to the response."""
+    levels, names = find_levels(rows["session"]), law.parameter_names
+    if not 1 < len(levels) <= MAX_LEVELS or len(levels) * MIN_ROWS_PER_LEVEL > len(rows):
+        return []
+    slopes = np.nan_to_num(law.jacobian(rows, np.tile(law.start_values(rows, y), (len(rows), 1))))
+    rms = np.sqrt(np.mean(slopes**2, axis=0))
+    vary = np.std(slopes, axis=0) > MIN_SPREAD * rms
+    varied = tuple(name for name in names[len(names) - law.n_shared :] if vary[names.index(name)])
+    kind = PooledParametersBySession if len(levels) > 2 else ParametersBySession
+    own = kind(
+        unit=unit,
+        size=size,
+        column="session",
+        levels=levels,
+        law=law,
+        slopes=tuple(rms.tolist()),
+        varied=varied,
+    )
+    return [own] if varied else []
 
 
 def level_causes(

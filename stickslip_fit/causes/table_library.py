@@ -32,10 +32,11 @@ from stickslip_fit.causes.levels import (
     explain_unusable_levels,
     level_causes,
     may_be_labels,
+    session_parameters,
 )
 from stickslip_fit.causes.periodic import PeriodicPosition
 from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, direction_labels
-from stickslip_fit.causes.zeros import zero_causes
+from stickslip_fit.causes.zeros import leaves_session_offsets, zero_causes
 
 NO_NAME = re.compile(r"column \d+|Unnamed: \d+")  # as here and by pandas
 SAME_TIME = 1e-9  # of a correlation, from which a column is the time
@@ -75,6 +76,7 @@ def generic_causes(rows: pd.DataFrame, law: Any, roles: TableRoles) -> tuple[Gen
     sessions = tuple(map(str, rows["session"].unique()))
     if law.n_shared and 1 < len(sessions) <= MAX_SESSIONS:
         causes.append(SessionOffset(unit=unit, size=size, sessions=sessions))
+        causes += session_parameters(rows, law, y, unit, size)
     causes += zero_causes(rows, law, y, unit, size)
     if roles.direction:
         labels = direction_labels(rows[roles.direction])
@@ -120,7 +122,8 @@ def explain_unusable(rows: pd.DataFrame, law: Any, name: str) -> str | None:
     elif reason := explain_unusable_levels(cells):
         return reason
     own = len(law.parameters) > law.n_shared
-    if own and (cells.astype(object).groupby(rows["session"].to_numpy()).nunique() < 2).all():
+    same = own and bool((cells.astype(object).groupby(rows["session"].to_numpy()).nunique() < 2).all())
+    if same and not leaves_session_offsets(rows, law):
         return "it is the same within every session, and each session has parameters of its own"
     return None
 

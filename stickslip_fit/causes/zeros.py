@@ -144,6 +144,16 @@ def zero_causes(rows: pd.DataFrame, law: TableLaw, y: Array, unit: str, size: fl
     return found
 
 
+def leaves_session_offsets(rows: pd.DataFrame, law: TableLaw) -> bool:
+    """Whether an offset of a session is left in one by the parameters that each session has of its own."""
+    values = law.start_values(rows, law.response(rows)[0])
+    slopes = law.jacobian(rows, np.tile(values, (len(rows), 1)))[:, : len(values) - law.n_shared]
+    places = rows.groupby("session", sort=False, observed=True).indices.values()
+    return bool(np.isfinite(slopes).all()) and any(
+        _is_left(np.ones((len(own), 1)), slopes[own]) for own in places
+    )
+
+
 def _is_left(column: Array, known: Array) -> bool:
     """Whether other columns, shape (n, p), leave something of a column, shape (n, 1)."""
     length = np.linalg.norm(known, axis=0)

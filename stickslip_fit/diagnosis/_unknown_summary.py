@@ -289,7 +289,7 @@ def describe_scatter(diagnosis: Diagnosis) -> str:
     size = format_percent(diagnosis.repeatability)
     if has_replicates(diagnosis.selection.problem.rows):
         return f"the repeatability is {size}"
-    return f"the scatter that no law explains is {size} (no traverse was repeated)"
+    return f"the scatter that no law tried here explains is {size} (no traverse was repeated)"
 
 
 def describe_unknown_gain(finding: Finding, diagnosis: Diagnosis) -> str:

@@ -30,6 +30,7 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.testability import MIN_DF
 
 MAX_NOISE_LEFT = 0.8  # of the noise, without structure, for which tests are made anew
+MIN_NOISE_DF = 10.0  # without structure, which has taken up the noise of most rows where fewer are left
 SAME_NOISE = 0.01  # relative change of every row's noise, far less than is known of it
 
 
@@ -95,10 +96,13 @@ def estimate_noise_left(
     problem: DiagnosisProblem, linearized: LinearizedFit, misfit: Misfit
 ) -> tuple[NoiseEstimate, StructureRemoved]:
     """The noise without the likeliest structure of a test, and what that leaves."""
+    whole = StructureRemoved(linearized.residual, np.zeros(len(problem)))
     left = remove_structure(linearized.residual, misfit.hypotheses, misfit.log_evidence, linearized.df)
     if explains_more(linearized, left.log_evidence):
-        left = StructureRemoved(linearized.residual, np.zeros(len(problem)))
+        left = whole
     noise = problem.estimate_noise(linearized, left)
+    if noise.df.sum() < MIN_NOISE_DF and left is not whole:
+        left, noise = whole, problem.estimate_noise(linearized, whole)
     return explain_unevenness(problem, linearized, misfit, left, noise), left
 
 

@@ -20,12 +20,12 @@ from scipy.special import stdtr, stdtrit
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.linearized import LawBlock, fit_extended, split_positions
-from stickslip_fit.diagnosis.noise import NEIGHBOURS, Outliers, find_runs
+from stickslip_fit.diagnosis.noise import NEIGHBOURS, Outliers, find_runs, pool_variance
 from stickslip_fit.diagnosis.noise_shape import fit_skewness
 from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.selection import NO_ROWS, Selection, select_outliers
 from stickslip_fit.diagnosis.testability import MIN_DF
-from stickslip_fit.diagnosis.unevenness import Residuals, estimate_unevenness, group_rows
+from stickslip_fit.diagnosis.unevenness import MIN_FREE, Residuals, estimate_unevenness, group_rows
 
 TAIL_DF = 5.0  # of Student's t, the heaviest tails that noise may have
 UNIT_MEDIAN = float(stdtrit(TAIL_DF, 0.75))  # of its absolute value, in units of its scale
@@ -36,6 +36,7 @@ PRIOR_DF = 4.0  # of the usual noise, for that of one block
 MIN_SCALE = 0.01  # of a robust fit, relative to the noise by least squares
 MIN_RELATIVE_SD = 0.3  # of a drive's noise, relative to that of all drives
 MAX_LOOKS = 4  # for gross errors that larger ones hide
+MAX_EXPECTED = 0.01  # rows of noise in the whole log that are as far off as one beside a certain gross error
 MAX_SHARE, MAX_ANYWAY = 0.05, 2  # of the rows; more are an effect, but for so few
 SHARED_DEPARTURE = 0.25  # of a row's departure; a neighbour with more has it too
 
@@ -79,19 +80,20 @@ def _find_largest(problem: DiagnosisProblem, level: float) -> Outliers:
     if np.any(ratio > 1.0):
         skewness = fit_skewness(z / ratio)
 
-    def compute_p_values(deviation: Array) -> Array:
+    def count_expected(deviation: Array) -> Array:
+        """How many rows of noise alone are as far off, shape of `deviation`."""
         own = deviation if skewness is None else skewness.symmetrize(deviation)
-        return np.minimum(1.0, 2.0 * len(problem) * stdtr(TAIL_DF, -np.abs(own)))
+        return 2.0 * len(problem) * stdtr(TAIL_DF, -np.abs(own))
 
-    rows = np.flatnonzero(compute_p_values(z / ratio) < level)
+    rows = np.flatnonzero(count_expected(z / ratio) < MAX_EXPECTED)
     rows = rows[~(_have_company(z, rows, problem) | find_runs(rows, problem.smooth_columns, z[:, None]))]
     # A robust fit with few rows for each parameter runs through most of them, and far from the others.
-    p_values = np.ones(len(problem))
-    p_values[rows] = compute_p_values(_deviation_from_others(problem, parts, ratio, rows))
-    rows = rows[p_values[rows] < level]
-    if not len(rows) or len(rows) > max(MAX_SHARE * len(problem), MAX_ANYWAY):
+    expected = count_expected(_deviation_from_others(problem, parts, ratio, rows))
+    # Where one is certain, another as far off as noise hardly ever is, is likely.
+    rows, expected = rows[expected < MAX_EXPECTED], np.sort(expected)
+    if not np.any(expected < level) or len(rows) > max(MAX_SHARE * len(problem), MAX_ANYWAY):
         return nothing
-    return Outliers(rows, float(p_values[rows].min()))
+    return Outliers(rows, float(expected[0]))
 
 
 def _deviation_from_others(
@@ -157,12 +159,11 @@ def set_aside(problem: DiagnosisProblem, rows: IntArray) -> DiagnosisProblem:
         return problem
     trimmed = replace(problem, parts=fit_robustly(problem)[1], trimmed=len(rows) > 0)
     smaller = trimmed.without_rows(rows)
-    linearized, drive = smaller.linearize(), smaller.noise_group
-    squares = (linearized.residual * smaller.scale) ** 2 - (1.0 - linearized.leverage) * smaller.rounding
-    squares /= np.square(smaller.relative_sd)
-    df = np.bincount(drive, 1.0 - linearized.leverage, len(problem.repeatability))
-    total = np.bincount(drive, squares, len(problem.repeatability))
-    pooled = max(total.sum() / max(df.sum(), 1.0), np.finfo(float).tiny)
+    linearized, drive, number = smaller.linearize(), smaller.noise_group, len(problem.repeatability)
+    free, rounding = 1.0 - linearized.leverage, smaller.rounding / np.square(smaller.relative_sd)
+    squares = np.square(linearized.residual * smaller.scale / smaller.relative_sd) - free * rounding
+    df, total = np.bincount(drive, free, number), np.bincount(drive, squares, number)
+    pooled = pool_variance(squares / np.maximum(free, MIN_FREE), free, rounding, np.finfo(float).tiny)
     variance = np.where(
         df > 1.0, np.maximum(total / np.maximum(df, 1.0), MIN_RELATIVE_SD**2 * pooled), pooled
     )
@@ -210,13 +211,15 @@ def _robust_scale(residual: Array, problem: DiagnosisProblem) -> Array:
     """Scale of Student's t noise by the median of each drive's absolute residuals, shape (n,).
 
     Where most rows are equal, as many zeros are, a law may run through all of them, so that the median is 0.
+    Rounding differs between the rows of a drive, and adds at least its own part.
     """
     size, drive = np.abs(residual) / problem.relative_sd, problem.noise_group
     pooled = max(float(np.median(size)), np.finfo(float).tiny)
     median = np.full(int(drive.max()) + 1, pooled)
     for number in np.unique(drive):
         median[number] = max(float(np.median(size[drive == number])), MIN_RELATIVE_SD * pooled)
-    return np.maximum(median[drive] * problem.relative_sd / UNIT_MEDIAN, MIN_SCALE * problem.scale)
+    own = np.maximum(median[drive] * problem.relative_sd / UNIT_MEDIAN, MIN_SCALE * problem.scale)
+    return np.maximum(own, np.sqrt(problem.rounding))
 
 
 def _merge_sessions(part: LawBlock, drive: IntArray) -> LawBlock:

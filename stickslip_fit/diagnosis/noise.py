@@ -44,6 +44,7 @@ MIN_NOISY_PROBABILITY = 0.02  # above which a configuration may be a noisy one
 # Repeatability
 MAX_MEDIANS = 10.0  # of the absolute residuals; larger residuals are clipped
 MIN_DRIVE_DF = 8  # for a drive's own standard deviation
+MAX_POOLINGS, POOLING_TOL, MAX_FALL = 100, 1e-6, 0.25  # of a mean whose weights depend on it
 PRIOR_DF = (4.0, 1e4)  # of what drives have in common; with the most, they do not differ
 MIN_SD = 1e-7  # of a log's responses
 MIN_CELL_ROWS, CLIP_SD = 3, 3.0  # rows whose mean is subtracted; clipping of residuals in it
@@ -137,7 +138,7 @@ class NoiseEstimate:
     sd : array
         Standard deviation of each drive's responses in quiet configurations, without rounding.
     df : array
-        Of each of these.
+        Of each of these; what rows tell whose rounding is coarse is little.
     heteroscedasticity : Heteroscedasticity
         Of configurations, beside `unevenness`.
     skewness : Skewness or None
@@ -237,7 +238,9 @@ def estimate_noise(
     if skewness:
         scale = np.sqrt((sd[drive] * ratio) ** 2 + rounding)
         skewness = fit_skewness((deviation / scale / np.sqrt(free))[counts == 1.0])
-    return NoiseEstimate(sd, np.bincount(drive, free, len(sd)), noisy, uneven, skewness)
+    variance = np.square(sd[drive] * ratio)
+    informative = free * np.square(variance / (variance + rounding))  # beside coarse rounding noise is hidden
+    return NoiseEstimate(sd, np.bincount(drive, informative, len(sd)), noisy, uneven, skewness)
 
 
 def _estimate_unevenness(
@@ -281,9 +284,32 @@ def _estimate_drive_sd(
         )
         variance[own] = np.minimum(deviation[own] ** 2 / free[own], most**2) - rounding[own]
     df, total = np.bincount(drive, free, number), np.bincount(drive, free * variance, number)
-    pooled = max(float(total.sum() / df.sum()), least_sd**2)
+    pooled = pool_variance(variance, free, rounding, least_sd**2)
     of_drive = np.maximum(total / np.maximum(df, MIN_FREE), 0.04 * pooled)
     return np.sqrt(np.where(df >= MIN_DRIVE_DF, of_drive, pooled))
+
+
+def pool_variance(variance: Array, free: Array, rounding: Array, least: float) -> float:
+    """Mean of what single rows say of a variance that all have beside their rounding, at least `least`.
+
+    All are of shape (n,): of each row the square less its rounding's variance, by which it may be negative,
+    the degrees of freedom, and its rounding's variance, in which a small variance does not show.
+
+    Examples
+    --------
+    >>> coarse, fine = np.array([0.9, -0.9, -0.6]), np.array([1.2e-4, 0.8e-4])
+    >>> rounding = np.array([1.0, 1.0, 1.0, 0.0, 0.0])
+    >>> round(pool_variance(np.concatenate([coarse, fine]), np.ones(5), rounding, 0.0), 7)
+    0.0001
+    """
+    pooled = max(float(free @ (variance + rounding)) / float(free.sum()), least)
+    for _ in range(MAX_POOLINGS):
+        weight = free * np.square(pooled / (pooled + rounding))
+        mean = float(weight @ variance) / float(weight.sum())
+        before, pooled = pooled, max(mean, MAX_FALL * pooled, least)
+        if abs(pooled - before) <= POOLING_TOL * before:
+            break
+    return pooled
 
 
 @dataclass(frozen=True, eq=False)

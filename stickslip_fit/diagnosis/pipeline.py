@@ -64,7 +64,7 @@ from stickslip_fit.errors import check_alpha, check_count
 from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 
-GROSS_ALPHA_SHARE = 0.025  # of the false-alarm rate, for gross errors
+GROSS_ALPHA_SHARE = 0.1  # of the false-alarm rate, for gross errors
 MAX_SEARCHES = 4  # each with fewer rows, or with rows that came back
 BOOTSTRAP_PER_ALARM = 20  # bootstrap samples for each expected false alarm
 OUTLIER_INCLUSION = 0.99
