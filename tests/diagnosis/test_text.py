@@ -192,7 +192,9 @@ def test_without_a_repeated_traverse_nothing_is_said_to_repeat(named):
     object.__setattr__(selection, "problem", replace(selection.problem, table=RowTable(once)))
     said = told(replace(named, selection=selection))
     assert "repeatab" not in said
-    assert re.search(r"scatter that no law tried here explains is \d\.\d+ % \(no traverse was repeated\)", said)
+    assert re.search(
+        r"scatter that no law tried here explains is \d\.\d+ % \(no traverse was repeated\)", said
+    )
 
 
 def test_what_has_no_name_is_shown_as_it_is(unnamed):
