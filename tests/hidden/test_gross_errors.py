@@ -7,6 +7,7 @@ import pytest
 
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis.gross_errors import find_gross_errors, set_aside
+from stickslip_fit.diagnosis.pipeline import GROSS_ALPHA_SHARE
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.selection import explain_outliers, select_causes
 from tests.hidden.generate import hide
@@ -14,7 +15,7 @@ from tests.hidden.gross import make_gross, spoil
 from tests.hidden.reading import read_hidden
 
 MISFIRE = "end-stop-misfire"
-LEVEL = 2.5e-4
+LEVEL = GROSS_ALPHA_SHARE * 0.01
 
 
 def tally(size, rate, seeds):
@@ -51,6 +52,21 @@ def test_gross_errors_are_found_before_anything_is_searched(size, rate, seed):
     hidden, rows = make_gross(size, rate, seed)
     problem, _ = problem_from_log(read_hidden(hidden), ())
     assert set(find_gross_errors(problem, LEVEL).rows) == set(rows)
+
+
+def test_one_wild_count_among_heavy_tails_is_found():
+    """27 standard deviations off, in a session of 160 traverses with noise of Student's t with 5 df."""
+    hidden = hide("session", (MISFIRE,), 25, "t5", seed=8900012, forms={MISFIRE: "missed only"})
+    problem, _ = problem_from_log(read_hidden(hidden), ())
+    assert [*find_gross_errors(problem, LEVEL).rows] == [*np.flatnonzero(hidden.effect(MISFIRE))]
+
+
+def test_beside_a_certain_gross_error_a_smaller_one_is_found():
+    hidden = spoil(hide("session", seed=1), np.array([20]), 1.05)
+    problem, _ = problem_from_log(read_hidden(hidden), ())
+    assert not len(find_gross_errors(problem, LEVEL).rows)
+    problem, _ = problem_from_log(read_hidden(spoil(hidden, np.array([90]))), ())
+    assert [*find_gross_errors(problem, LEVEL).rows] == [20, 90]
 
 
 def places(hidden):

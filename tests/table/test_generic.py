@@ -111,6 +111,17 @@ def test_columns_that_cannot_be_followed_are_explained():
     assert "80 different texts in 80 rows" in untestable["covariate:note"]
 
 
+@pytest.mark.parametrize(("law", "usable"), [("y ~ a + b*x", False), ("y ~ A*exp(-x/tau)", True)])
+def test_what_is_the_same_in_a_session_can_be_followed_where_its_parameters_do_not_absorb_it(law, usable):
+    x = np.tile(np.linspace(0.0, 3.0, 30), 2)
+    frame = pd.DataFrame({"run": np.repeat(["a", "b"], 30), "x": x, "volts": np.repeat([5.0, 9.0], 30)})
+    frame["y"] = frame["volts"] * np.exp(-x) + 0.01 * np.random.default_rng(0).standard_normal(60)
+    roles = TableRoles(session="run")
+    rows = prepare_rows(frame, roles)
+    names = {one.name for one in generic_causes(rows, ssf.Law(law).bind_table(rows), roles)}
+    assert ("covariate:volts" in names) == usable
+
+
 @pytest.mark.slow
 def test_a_change_in_a_table_without_sessions_is_told_in_the_unit_of_its_time():
     """The Nile's annual flow fell by about 248 (1e8 m³) after 1898 (G. W. Cobb, Biometrika 65:243, 1978)."""

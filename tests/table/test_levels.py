@@ -179,3 +179,46 @@ def test_a_table_of_nothing_but_texts_is_explained_to_the_end():
     found = ssf.diagnose_table(frame, "y ~ mean")
     assert {finding.cause for finding in found.findings} == {"covariate:poison", "covariate:treat"}
     assert found.gain.extended < 0.4 * found.gain.baseline
+
+
+def springs(sessions, stiffer=0.0, higher=0.0):
+    """Some days of a spring, the last one with another stiffness or zero."""
+    rng, day = np.random.default_rng(0), np.repeat(np.arange(1, sessions + 1), 20)
+    x, last = rng.uniform(1.0, 30.0, len(day)), day == sessions
+    force = (0.05 + stiffer * last) * x + 0.2 + higher * last + 0.01 * rng.standard_normal(len(day))
+    return pd.DataFrame({"day": [f"d{one}" for one in day], "x": x, "F": force})
+
+
+def named_in(frame, **options):
+    (finding,) = ssf.diagnose_table(frame, "F ~ k*x + F0", session="day", shared="all", **options).findings
+    return finding
+
+
+def test_a_parameter_that_one_of_two_sessions_has_otherwise_is_that_of_least_squares():
+    frame = springs(2, stiffer=0.005)
+    finding = named_in(frame, gain=False)
+    assert finding.cause == "parameters-by-session"
+    (change,) = finding.parameters
+    fit = smf.ols("F ~ x + x:C(day)", frame).fit()
+    assert change.size.estimate == pytest.approx(fit.params["x:C(day)[T.d2]"], rel=1e-4)
+
+
+@pytest.mark.slow
+def test_one_of_several_sessions_with_another_parameter_is_told_and_saved(tmp_path):
+    """As where one day a length is in another unit; an offset of each session errs by a fifth of that."""
+    frame = springs(5, stiffer=0.45)
+    diagnosis = ssf.diagnose_table(frame, "F ~ k*x + F0", session="day", shared="all")
+    assert "k is furthest from the mean of all, by 0.360" in str(diagnosis.summary())
+    assert "in d5" in str(diagnosis.summary())
+    assert diagnosis.gain.extended < 0.011 < 3.0 < diagnosis.gain.baseline
+    fit = diagnosis.extended_law()
+    fit.save(tmp_path / "law.json")
+    restored = ssf.load_table_fit(tmp_path / "law.json").predict(frame)
+    pd.testing.assert_frame_equal(restored, fit.predict(frame))
+    tomorrow = ssf.load_table_fit(tmp_path / "law.json").predict(frame.head(1).assign(day="d6"))
+    assert np.isfinite(tomorrow["predicted"]).all()
+
+
+@pytest.mark.slow
+def test_an_offset_of_one_session_is_no_other_parameter():
+    assert named_in(springs(5, higher=0.05)).cause == "offset-by-session"
