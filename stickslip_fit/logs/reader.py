@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from stickslip_fit._format import join_words
+from stickslip_fit._format import format_duration, join_words
 from stickslip_fit._typing import Array, BoolArray, Int64Array
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs._files import SourcePath, Sources, hash_sources, open_sources
@@ -214,6 +214,8 @@ def _describe_duplicate(files: list[LogCells], twin: dict[int, int], start: int)
 TimeLike = str | date | datetime
 
 _EPOCH = datetime(1970, 1, 1)
+# Falls of the time: of more in a file its rows stand in another order; smaller ones are slips of a hand.
+MAX_CLOCKS, MIN_FALL_SECONDS = 3, 60.0
 
 
 def select_sessions(identity: RowKeys, since: TimeLike | None, until: TimeLike | None) -> BoolArray:
@@ -253,6 +255,30 @@ def note_similar_sessions(identity: RowKeys) -> tuple[str, ...]:
         for same in groups.values()
         if len(same) > 1
     )
+
+
+def note_clocks_set_back(identity: RowKeys) -> tuple[str, ...]:
+    """Notes on sessions whose rows stand in the order of time in one file, but for one place.
+
+    Where the traverses of one joint stand after those of another, times fall from joint to joint as well.
+    """
+    rows = np.flatnonzero(identity.valid)
+    rows = rows[np.argsort(identity.session[rows], kind="stable")]
+    session, seconds, joint = identity.session[rows], identity.time[rows] / 1e9, identity.joint[rows]
+    falls = 1 + np.flatnonzero((np.diff(seconds) < 0) & (np.diff(session) == 0))
+    if not 0 < len(falls) <= MAX_CLOCKS or len(np.unique(session[falls])) < len(falls):
+        return ()
+    notes = []
+    for fall in falls:
+        begin, end = np.searchsorted(session, session[fall] + np.arange(2))
+        size = float(seconds[fall - 1] - seconds[fall])
+        if size >= MIN_FALL_SECONDS and np.isin(joint[fall:end], joint[begin:fall]).any():
+            notes.append(
+                f"session {identity.labels[session[fall]]}: from its traverse {fall - begin} to the next in "
+                f"the file the time falls by {format_duration(size / 60.0, 'min')}, and rises everywhere else; if the "
+                "clock was set back there, correct the times, since traverses count in their order"
+            )
+    return tuple(notes)
 
 
 def _to_nanoseconds(name: str, moment: TimeLike, zoned: bool) -> int:
@@ -401,6 +427,7 @@ def read_log(
         *doubts,
         *notes,
         *note_similar_sessions(identity),
+        *(note_clocks_set_back(identity) if len(files) == 1 else ()),
     )
     hashes = tuple((file.table.file, file.sha256) for file in sources.files)
     file_sha256 = hash_sources(sources.files)

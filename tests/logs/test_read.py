@@ -133,6 +133,27 @@ def test_labels_that_differ_only_in_spaces_or_capitals_are_noted(sheet, read):
     assert any("'Tuesday ', 'tuesday'" in note for note in log.notes)
 
 
+@pytest.mark.parametrize(
+    ("minutes", "joints", "noted"),
+    [
+        ((0, 10, 20, 30, -40, -30), "232323", True),
+        ((0, 10, 20, 30, 40, 50), "232323", False),
+        ((0, 20, 40, 10, 30, 50), "222333", False),  # joint after joint, times between each other
+        ((50, 40, 30, 20, 10, 0), "232323", False),  # the last traverse first
+    ],
+)
+def test_a_clock_that_was_set_back_is_noted(tmp_path, minutes, joints, noted):
+    begin = pd.Timestamp("2012-03-05T09:00")
+    rows = {"session": "monday", "time": [begin + pd.Timedelta(minutes=one) for one in minutes]}
+    rows |= {"joint": list(joints), "direction": "+", "steps": 40_000, "q1_deg": 0, "q2_deg": 0, "q3_mm": 0}
+    pd.DataFrame(rows | {"theta_deg": 0, "psi_deg": 0}).to_csv(tmp_path / "day.csv", index=False)
+    notes = [note for note in read_log(tmp_path / "day.csv").notes if "clock" in note]
+    assert len(notes) == noted
+    assert all(
+        "from its traverse 4 to the next in the file the time falls by 70.0 min" in one for one in notes
+    )
+
+
 def test_the_hash_of_a_single_file_is_its_own(sheet, read, tmp_path):
     log = read(sheet)
     digest = hashlib.sha256((tmp_path / "day.csv").read_bytes()).hexdigest()
