@@ -275,8 +275,9 @@ def note_clocks_set_back(identity: RowKeys) -> tuple[str, ...]:
         if size >= MIN_FALL_SECONDS and np.isin(joint[fall:end], joint[begin:fall]).any():
             notes.append(
                 f"session {identity.labels[session[fall]]}: from its traverse {fall - begin} to the next in "
-                f"the file the time falls by {format_duration(size / 60.0, 'min')}, and rises everywhere else; if the "
-                "clock was set back there, correct the times, since traverses count in their order"
+                f"the file the time falls by {format_duration(size / 60.0, 'min')}, and rises everywhere "
+                "else; if the clock was set back there, correct the times, since traverses count in their "
+                "order"
             )
     return tuple(notes)
 
