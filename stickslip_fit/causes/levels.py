@@ -286,11 +286,11 @@ class ParametersByLevel(LevelCause):
 
     Attributes
     ----------
-    varied : tuple of str
+    subset : tuple of str
         Names of those that may not be the same; without, all of them.
     """
 
-    varied: tuple[str, ...] = ()
+    subset: tuple[str, ...] = ()
 
     sentence = "The law has other parameters where {column} is {others}, not {first}{how}"
     adds_to_simpler: ClassVar[bool] = True  # to offsets
@@ -298,7 +298,7 @@ class ParametersByLevel(LevelCause):
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`: parameter by parameter."""
-        each = [(self.law.parameters[one], level) for one in self._varied for level in self.named]
+        each = [(self.law.parameters[one], level) for one in self._places for level in self.named]
         return tuple(
             CauseParameter(
                 own.name if len(self.levels) == 2 else f"{own.name}[{level}]",
@@ -312,7 +312,7 @@ class ParametersByLevel(LevelCause):
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
         """See `GenericCause`: as large an effect on the response by each parameter."""
-        slopes = [self.slopes[one] for one in self._varied]
+        slopes = [self.slopes[one] for one in self._places]
         each = [self.size / slope if slope > 0 else 0.0 for slope in slopes]
         return tuple(np.repeat(each, len(self.named)).tolist())
 
@@ -327,7 +327,7 @@ class ParametersByLevel(LevelCause):
 
     def effect(self, rows: Rows, variable: Collection[str]) -> Effect:
         """See `TableCause`: the law with other parameters less the law."""
-        inside, own_names = self.indicators(rows), [self.law.parameter_names[one] for one in self._varied]
+        inside, own_names = self.indicators(rows), [self.law.parameter_names[one] for one in self._places]
         by = tuple(dict.fromkeys([*own_names, *(name for name in variable if name in self.law.right.names)]))
         function, n, width = self.law.right.function(by), len(inside), len(self.named)
 
@@ -347,14 +347,14 @@ class ParametersByLevel(LevelCause):
     def changes(self, law: object, rows: Rows, values: Array, trials: Array) -> Array:
         """See `Cause`: by the derivatives without effect, since trials are small and many."""
         slopes = self.law.jacobian(rows, values[:, : len(self.law.parameters)])
-        own = (slopes[:, self._varied, None] * self.indicators(rows)[:, None]).reshape(len(values), -1)
+        own = (slopes[:, self._places, None] * self.indicators(rows)[:, None]).reshape(len(values), -1)
         return np.asarray(own @ trials.T)
 
     @property
-    def _varied(self) -> list[int]:
+    def _places(self) -> list[int]:
         """The places of those parameters among the law's."""
         names = self.law.parameter_names
-        return [place for place, name in enumerate(names) if not self.varied or name in self.varied]
+        return [place for place, name in enumerate(names) if not self.subset or name in self.subset]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -464,7 +464,7 @@ def session_parameters(
     slopes = np.nan_to_num(law.jacobian(rows, np.tile(law.start_values(rows, y), (len(rows), 1))))
     rms = np.sqrt(np.mean(slopes**2, axis=0))
     vary = np.std(slopes, axis=0) > MIN_SPREAD * rms
-    varied = tuple(name for name in names[len(names) - law.n_shared :] if vary[names.index(name)])
+    subset = tuple(name for name in names[len(names) - law.n_shared :] if vary[names.index(name)])
     kind = PooledParametersBySession if len(levels) > 2 else ParametersBySession
     own = kind(
         unit=unit,
@@ -473,9 +473,9 @@ def session_parameters(
         levels=levels,
         law=law,
         slopes=tuple(rms.tolist()),
-        varied=varied,
+        subset=subset,
     )
-    return [own] if varied else []
+    return [own] if subset else []
 
 
 def level_causes(

@@ -45,6 +45,7 @@ MIN_NOISY_PROBABILITY = 0.02  # above which a configuration may be a noisy one
 MAX_MEDIANS = 10.0  # of the absolute residuals; larger residuals are clipped
 MIN_DRIVE_DF = 8  # for a drive's own standard deviation
 MAX_POOLINGS, POOLING_TOL, MAX_FALL = 100, 1e-6, 0.25  # of a mean whose weights depend on it
+FINE_SHARE = 0.1  # of the rows, beside whose rounding that of others is coarse
 PRIOR_DF = (4.0, 1e4)  # of what drives have in common; with the most, they do not differ
 MIN_SD = 1e-7  # of a log's responses
 MIN_CELL_ROWS, CLIP_SD = 3, 3.0  # rows whose mean is subtracted; clipping of residuals in it
@@ -138,7 +139,7 @@ class NoiseEstimate:
     sd : array
         Standard deviation of each drive's responses in quiet configurations, without rounding.
     df : array
-        Of each of these; what rows tell whose rounding is coarse is little.
+        Of each of these; rows whose rounding is coarse beside that of others tell little.
     heteroscedasticity : Heteroscedasticity
         Of configurations, beside `unevenness`.
     skewness : Skewness or None
@@ -239,7 +240,8 @@ def estimate_noise(
         scale = np.sqrt((sd[drive] * ratio) ** 2 + rounding)
         skewness = fit_skewness((deviation / scale / np.sqrt(free))[counts == 1.0])
     variance = np.square(sd[drive] * ratio)
-    informative = free * np.square(variance / (variance + rounding))  # beside coarse rounding noise is hidden
+    finest = variance + np.minimum(rounding, np.quantile(rounding, FINE_SHARE))
+    informative = free * np.square(finest / (variance + rounding))  # noise hides in rounding that is coarser
     return NoiseEstimate(sd, np.bincount(drive, informative, len(sd)), noisy, uneven, skewness)
 
 
