@@ -374,7 +374,7 @@ class ParametersBySession(ParametersByLevel):
     """Parameters that all sessions share are not the same in two of them."""
 
     base_name = "parameters-by-session"
-    base_phrase = "the law has not the same parameters in every session"
+    base_phrase = "the law's parameters differ between sessions"
     physics = (
         "What is mounted, charged or set anew before a session, or a unit that is another one than before."
     )
@@ -394,8 +394,8 @@ class PooledParametersBySession(PooledParameters, ParametersBySession):
     """As `ParametersBySession`, of three sessions or more."""
 
     sentence = (
-        "The law has not the same parameters in every session: {name} is furthest from the mean of all, by "
-        "{change}, in {session}"
+        "The law's parameters differ between sessions: {name} is furthest from the mean of all in {session}, "
+        "by {change}"
     )
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
