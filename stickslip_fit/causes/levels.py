@@ -31,8 +31,9 @@ from stickslip_fit.causes.generic import (
 )
 from stickslip_fit.causes.parameters import CauseParameter, SizedParameter, Sizes
 from stickslip_fit.causes.table_cause import Effect
+from stickslip_fit.causes.zeros import is_left
 from stickslip_fit.errors import InputIssue, shorten
-from stickslip_fit.laws import Rows, TableLaw
+from stickslip_fit.laws import Parameter, Rows, TableLaw
 from stickslip_fit.units import Z_95, Interval, TableUnit
 
 MIN_POOLED = 5  # labels whose effects have a common prior
@@ -40,7 +41,6 @@ MAX_LEVELS, MIN_ROWS_PER_LEVEL = 12, 3  # of a column of integers, and for other
 MAX_POOLED, MIN_ROWS_PER_POOLED = 60, 2  # of a column of texts
 MAX_CELLS = 150_000  # rows times labels of a column of more than `MAX_LEVELS` texts, which take half a minute
 MAX_NAMED = 12  # labels in a message
-MIN_SPREAD = 1e-6  # of the response's derivatives by a parameter, which else is an offset
 
 
 def name_levels(cells: Any) -> Array:
@@ -298,7 +298,6 @@ class ParametersByLevel(LevelCause):
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
         """See `GenericCause`: parameter by parameter."""
-        each = [(self.law.parameters[one], level) for one in self._places for level in self.named]
         return tuple(
             CauseParameter(
                 own.name if len(self.levels) == 2 else f"{own.name}[{level}]",
@@ -306,8 +305,13 @@ class ParametersByLevel(LevelCause):
                 f"change of {own.name} at {self.column} {level} beside {self.beside}",
                 prior_sd=sd,
             )
-            for (own, level), sd in zip(each, self.prior_sds, strict=True)
+            for (own, level), sd in zip(self.each, self.prior_sds, strict=True)
         )
+
+    @property
+    def each(self) -> list[tuple[Parameter, str]]:
+        """The law's parameter and the level of each of its own."""
+        return [(self.law.parameters[one], level) for one in self._places for level in self.named]
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
@@ -400,15 +404,12 @@ class PooledParametersBySession(PooledParameters, ParametersBySession):
 
     def quantities(self, sizes: Sizes) -> Mapping[str, object]:
         """See `GenericCause`: of the parameter that changes the response most where it is furthest off."""
-        own = {name: one for name, one in sizes.items() if isinstance(one, SizedParameter)}
-        effect = {
-            name: abs(one.size.estimate) / scale
-            for (name, one), scale in zip(own.items(), self.scale, strict=True)
-        }
-        furthest = max(effect, key=effect.__getitem__)
-        name, session = furthest.removesuffix("]").split("[", 1)
-        change = format_measured(own[furthest].size, own[furthest].unit)
-        return {**super().quantities(sizes), "name": name, "session": session, "change": change}
+        found = [one for own in self.parameters if isinstance(one := sizes[own.name], SizedParameter)]
+        effects = [abs(one.size.estimate) / scale for one, scale in zip(found, self.scale, strict=True)]
+        furthest = int(np.argmax(effects))
+        (parameter, session), own = self.each[furthest], found[furthest]
+        change = format_measured(own.size, own.unit)
+        return {**super().quantities(sizes), "name": parameter.name, "session": session, "change": change}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -461,10 +462,9 @@ def session_parameters(
     levels, names = find_levels(rows["session"]), law.parameter_names
     if not 1 < len(levels) <= MAX_LEVELS or len(levels) * MIN_ROWS_PER_LEVEL > len(rows):
         return []
-    slopes = np.nan_to_num(law.jacobian(rows, np.tile(law.start_values(rows, y), (len(rows), 1))))
-    rms = np.sqrt(np.mean(slopes**2, axis=0))
-    vary = np.std(slopes, axis=0) > MIN_SPREAD * rms
-    subset = tuple(name for name in names[len(names) - law.n_shared :] if vary[names.index(name)])
+    slopes, ones = np.nan_to_num(law.slopes_at_start(rows, y)), np.ones((len(rows), 1))
+    shared = range(len(names) - law.n_shared, len(names))
+    subset = tuple(names[one] for one in shared if is_left(slopes[:, one, None], ones))
     kind = PooledParametersBySession if len(levels) > 2 else ParametersBySession
     own = kind(
         unit=unit,
@@ -472,10 +472,14 @@ def session_parameters(
         column="session",
         levels=levels,
         law=law,
-        slopes=tuple(rms.tolist()),
+        slopes=_rms_by_parameter(slopes),
         subset=subset,
     )
     return [own] if subset else []
+
+
+def _rms_by_parameter(slopes: Array) -> tuple[float, ...]:
+    return tuple(np.sqrt(np.mean(slopes**2, axis=0)).tolist())
 
 
 def level_causes(
@@ -484,8 +488,7 @@ def level_causes(
     """A cause for each column of labels; `size` as of a `GenericCause`."""
     if not columns:
         return []
-    slopes = law.jacobian(rows, np.tile(law.start_values(rows, y), (len(rows), 1)))
-    rms = tuple(np.sqrt(np.mean(np.nan_to_num(slopes) ** 2, axis=0)).tolist())
+    rms = _rms_by_parameter(np.nan_to_num(law.slopes_at_start(rows, y)))
     return [
         LabelDependence(
             unit=unit, size=size, column=name, levels=find_levels(rows[name]), law=law, slopes=rms

@@ -117,7 +117,7 @@ def zero_causes(rows: pd.DataFrame, law: TableLaw, y: Array, unit: str, size: fl
     known, found = law.jacobian(rows, np.tile(values, (n, 1))), list[GenericCause]()
     if not np.isfinite(known).all():
         return []
-    if _is_left(ones := np.ones((n, 1)), known):
+    if is_left(ones := np.ones((n, 1)), known):
         found.append(ResponseZero(unit=unit, size=size))
     known = np.concatenate([known, ones], axis=1)
     state = law.quantities(rows) | {
@@ -127,7 +127,7 @@ def zero_causes(rows: pd.DataFrame, law: TableLaw, y: Array, unit: str, size: fl
         if name not in law.right.names or name in law.left.names:
             continue
         slopes = np.broadcast_to(law.right.function((name,))(state)[1], (n, 1))
-        if np.isfinite(slopes).all() and _is_left(slopes, known):
+        if np.isfinite(slopes).all() and is_left(slopes, known):
             slope, cells = float(np.sqrt(np.mean(slopes**2))), number_column(rows, name)
             column_unit = str(law.source.units.get(name, ""))
             found.append(
@@ -146,15 +146,15 @@ def zero_causes(rows: pd.DataFrame, law: TableLaw, y: Array, unit: str, size: fl
 
 def leaves_session_offsets(rows: pd.DataFrame, law: TableLaw) -> bool:
     """Whether an offset of a session is left in one by the parameters that each session has of its own."""
-    values = law.start_values(rows, law.response(rows)[0])
-    slopes = law.jacobian(rows, np.tile(values, (len(rows), 1)))[:, : len(values) - law.n_shared]
+    slopes = law.slopes_at_start(rows, law.response(rows)[0])
+    slopes = slopes[:, : slopes.shape[1] - law.n_shared]
     places = rows.groupby("session", sort=False, observed=True).indices.values()
     return bool(np.isfinite(slopes).all()) and any(
-        _is_left(np.ones((len(own), 1)), slopes[own]) for own in places
+        is_left(np.ones((len(own), 1)), slopes[own]) for own in places
     )
 
 
-def _is_left(column: Array, known: Array) -> bool:
+def is_left(column: Array, known: Array) -> bool:
     """Whether other columns, shape (n, p), leave something of a column, shape (n, 1)."""
     length = np.linalg.norm(known, axis=0)
     left, singular, _ = svd(known / np.where(length > 0, length, 1.0))

@@ -30,7 +30,7 @@ from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.testability import MIN_DF
 
 MAX_NOISE_LEFT = 0.8  # of the noise, without structure, for which tests are made anew
-MIN_NOISE_DF = 10.0  # without structure, which has taken up the noise of most rows where fewer are left
+MIN_FINE_SHARE = 0.5  # of the df of noise, below which coarse rounding tells most of it
 SAME_NOISE = 0.01  # relative change of every row's noise, far less than is known of it
 
 
@@ -101,7 +101,9 @@ def estimate_noise_left(
     if explains_more(linearized, left.log_evidence):
         left = whole
     noise = problem.estimate_noise(linearized, left)
-    if noise.df.sum() < MIN_NOISE_DF and left is not whole:
+    df = float(np.sum(1.0 - linearized.leverage - left.leverage))
+    # Few fine counts beside coarse ones, whose rounding is known: a shape may have taken up all their noise.
+    if left is not whole and noise.df.sum() < min(MIN_DF, MIN_FINE_SHARE * df):
         left, noise = whole, problem.estimate_noise(linearized, whole)
     return explain_unevenness(problem, linearized, misfit, left, noise), left
 

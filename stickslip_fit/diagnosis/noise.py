@@ -295,7 +295,9 @@ def pool_variance(variance: Array, free: Array, rounding: Array, least: float) -
     """Mean of what single rows say of a variance that all have beside their rounding, at least `least`.
 
     All are of shape (n,): of each row the square less its rounding's variance, by which it may be negative,
-    the degrees of freedom, and its rounding's variance, in which a small variance does not show.
+    the degrees of freedom, and its rounding's variance, in which a small variance does not show. Weights are
+    those of maximum likelihood; those of a chi-square that equals its df, as of `pool_residuals`, let coarse
+    rows count as much as fine ones.
 
     Examples
     --------

@@ -25,6 +25,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes import table_library
 from stickslip_fit.causes.empty_cells import leave_out_gaps
 from stickslip_fit.causes.generic import SessionOffset
+from stickslip_fit.causes.levels import MAX_LEVELS, ParametersBySession
 from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, prepare_rows
 from stickslip_fit.diagnosis.autocorrelation import number_samples
 from stickslip_fit.diagnosis.extended_table import make_table_fit
@@ -358,11 +359,13 @@ def _explain_missing(rows: pd.DataFrame, law: Any, roles: TableRoles) -> dict[st
         missing |= dict.fromkeys(["position", "periodic-in-position"], NO_POSITION)
     if not roles.direction:
         missing["offset-by-direction"] = NO_DIRECTION
-    if law.n_shared and (sessions := rows["session"].nunique()) > table_library.MAX_SESSIONS:
-        missing[SessionOffset.base_name] = (
-            f"the table has {sessions:,} sessions, and at most {table_library.MAX_SESSIONS} can have an "
-            "offset each"
-        )
+    sessions = rows["session"].nunique() if law.n_shared else 0
+    for name, most, own in (
+        (SessionOffset.base_name, table_library.MAX_SESSIONS, "an offset each"),
+        (ParametersBySession.base_name, MAX_LEVELS, "parameters of their own"),
+    ):
+        if sessions > most:
+            missing[name] = f"the table has {sessions:,} sessions, and at most {most} can have {own}"
     used = {
         *law.columns,
         *response_columns(law),

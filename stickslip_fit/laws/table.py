@@ -106,6 +106,10 @@ class TableLaw:
         """Where a fit begins, shape (p,); see `choose_start`."""
         return choose_start(self, rows, y, near)
 
+    def slopes_at_start(self, rows: Rows, y: Array) -> Array:
+        """Derivatives of the response by the parameters where a fit begins, shape (n, p)."""
+        return self.jacobian(rows, np.tile(self.start_values(rows, y), (len(y), 1)))
+
 
 def number_column(rows: Rows, name: str) -> Array:
     """A column as floats, shape (n,).

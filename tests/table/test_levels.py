@@ -222,3 +222,9 @@ def test_one_of_several_sessions_with_another_parameter_is_told_and_saved(tmp_pa
 @pytest.mark.slow
 def test_an_offset_of_one_session_is_no_other_parameter():
     assert named_in(springs(5, higher=0.05)).cause == "offset-by-session"
+
+
+@pytest.mark.slow
+def test_more_sessions_than_may_have_parameters_of_their_own_are_told():
+    found = ssf.diagnose_table(springs(13), "F ~ k*x + F0", session="day", shared="all", gain=False)
+    assert found.untestable["parameters-by-session"].startswith("the table has 13 sessions, and at most 12")
