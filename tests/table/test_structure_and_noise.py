@@ -1,5 +1,7 @@
 """What a law lacks is told from noise that persists, under laws that lack nearly all of the response."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -265,3 +267,36 @@ def test_what_follows_a_column_that_is_swept_is_no_function_of_time(cycles, offs
     assert {(one.cause, one.carrier) for one in found.findings} == {(expected, ""), ("unknown", "T")}
     (term,) = (one.term for one in found.findings if one.cause == "unknown")
     assert "^2" in term
+
+
+def loading_cycles(seed, *, in_order=True, n_cycles=6):
+    """A spring loaded and unloaded: what lies between the two branches is a parabola of the way."""
+    rng = np.random.default_rng(seed)
+    way = np.concatenate([np.arange(0.0, 61.0, 10.0), np.arange(60.0, -1.0, -10.0)])
+    branch, loop = np.repeat(["load", "unload"], 7), np.repeat([1.0, -1.0], 7)
+    frame = pd.concat([pd.DataFrame({"x": way, "branch": branch})] * n_cycles, ignore_index=True)
+    share = frame["x"] / 60.0
+    between = 0.24 * share * (1.0 - share) * np.tile(loop, n_cycles)
+    if not in_order:  # and the same wave, which is then none of the settings
+        frame = frame.sample(frac=1.0, random_state=seed, ignore_index=True)
+    noise = 0.015 * rng.standard_normal(len(frame))
+    return frame.assign(F=0.35 + 0.082 * frame["x"] + between + noise)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, pytest.param(4, marks=pytest.mark.nightly)])
+def test_settings_that_come_back_are_the_reason_and_not_a_wave_of_their_period(seed):
+    found = ssf.diagnose_table(loading_cycles(seed), "F ~ F0 + k*x", time="order")
+    assert found.findings
+    assert "periodic-in-time" not in names(found)
+    assert "branch" in found.findings[0].carrier or found.findings[0].cause == "covariate:branch"
+    assert found.gain.extended < 0.022  # noise of 0.015; a loop of 0.043 rms without
+    (note,) = [one for one in found.notes if "comes back every" in one]
+    assert re.search(r"of x and branch comes back every (13\.9.|14\.00) rows", note)
+
+
+@pytest.mark.slow
+def test_a_wave_is_named_where_settings_come_in_any_order():
+    found = ssf.diagnose_table(loading_cycles(0, in_order=False), "F ~ F0 + k*x", time="order", gain=False)
+    assert "periodic-in-time" in names(found)
+    assert not any("comes back every" in one for one in found.notes)
