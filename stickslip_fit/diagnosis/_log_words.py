@@ -52,6 +52,7 @@ COMMON = {
     "range": "in some ranges of the travel",
     "position": "in some places of the travel",
     "part of a session": "in some parts of the sessions",
+    "stretch of time": "in some stretches of time",
 }
 
 

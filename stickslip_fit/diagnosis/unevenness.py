@@ -1,9 +1,10 @@
 """Uneven noise: standard deviations that differ by more than a factor of two somewhere.
 
-Rows are grouped by session, part of a session, configuration, range of the traverse, and by ranges of every
-coordinate and column. For each grouping the distribution of the groups' standard deviations is estimated
-nonparametrically (J. Kiefer and J. Wolfowitz, Ann. Math. Stat. 27:887, 1956), once without limits and once as
-assumed: within a factor of two in each joint, the same in all sessions. Their likelihood ratio decides.
+Rows are grouped by session, part of a session, the noise of their neighbours in time, configuration, range of
+the traverse, and by ranges of every coordinate and column. For each grouping the distribution of the groups'
+standard deviations is estimated nonparametrically (J. Kiefer and J. Wolfowitz, Ann. Math. Stat. 27:887,
+1956), once without limits and once as assumed: within a factor of two in each joint, the same in all
+sessions. Their likelihood ratio decides.
 
 Calibration parameters hide unevenness: fitted by least squares, they carry the noise of noisy rows into quiet
 ones. So each hypothesis weighs the rows as it says, and the likelihood is that of the residuals without the
@@ -45,8 +46,10 @@ MIN_LOG_RATIO = 3.0  # nats over standard deviations as assumed, beside the log 
 MIN_TWICE_LOG_RATIO = 1.0  # the same where it is clear that sessions differ, but not that by a factor of two
 MIN_TRIAL_LOG_RATIO, MAX_TRIALS, N_REWEIGHTS = 0.3, 3, 3  # of groupings that are looked at closely
 MAX_ROUNDS, EM_STEPS, MAX_WINDOWS = 3, 30, 2
+STRETCH = "stretch of time"
 MIN_LIKELIHOOD = 1e-300  # relative to that of the best standard deviation
 N_BINS, N_PARTS, N_STRETCHES = 6, 3, 8  # of a coordinate in each joint; of a session; of the travel
+N_BESIDE, MAX_LEVELS, ROWS_PER_LEVEL = 6, 10, 12  # neighbours on either side; groups by their noise
 PRIOR_ROWS, MIN_VARIANCE, MIN_LENGTH = 2.0, 1e-3, 1e-12
 MIN_GROUP_ROWS = 4  # on average; single rows that are far off are heavy tails
 MIN_FREE = 1e-6  # of a row's information, beside rounding
@@ -253,6 +256,9 @@ def group_rows(
     if known.ends is not None:
         local = _bin(_estimate_local_sds(known.ends, known.joint, residuals), known.joint)
         groupings[POSITION] = _make_grouping(local, known.joint)
+    if known.in_order:
+        level = _rank_by_neighbours(linearized.rows["session"].to_numpy(object), residuals)
+        groupings[STRETCH] = _make_grouping(level, np.zeros(n, dtype=np.intp))
     return {
         name: grouping
         for name, grouping in groupings.items()
@@ -270,11 +276,14 @@ class _ColumnGroupings:
         0 of what has no joint.
     ends : array, shape (n, 2), or None
         Of each traverse, the lower one first; None for rows that are no traverses.
+    in_order : bool
+        Whether the order of the rows is that of measurement.
     of_sessions, of_carriers : dict of str to Grouping
     """
 
     joint: IntArray
     ends: Array | None
+    in_order: bool
     of_sessions: dict[str, Grouping]
     of_carriers: dict[str, Grouping]
 
@@ -284,7 +293,7 @@ def _group_by_columns(table: RowTable) -> _ColumnGroupings:
     session = pd.factorize(rows["session"].astype(object))[0]
     joint, everywhere, ends = np.zeros(n, dtype=np.intp), np.zeros(n, dtype=np.intp), None
     of_sessions = {"session": _make_grouping(session, everywhere, 0)}
-    if rows["session_seconds"].notna().all():  # else the order of the rows means nothing
+    if in_order := bool(rows["session_seconds"].notna().all()):
         part = rank_within(session) * N_PARTS // np.bincount(session)[session]
         of_sessions["part of a session"] = _make_grouping(session * N_PARTS + part, everywhere)
     of_carriers = {}
@@ -296,7 +305,7 @@ def _group_by_columns(table: RowTable) -> _ColumnGroupings:
             if carrier.name not in NO_REASON:
                 label = _bin(traverse_average(carrier.values), joint)
                 of_carriers[carrier.name] = _make_grouping(label, joint)
-    return _ColumnGroupings(joint, ends, of_sessions, of_carriers)
+    return _ColumnGroupings(joint, ends, in_order, of_sessions, of_carriers)
 
 
 def _make_grouping(
@@ -317,6 +326,23 @@ def _bin(values: Array, joint: npt.NDArray[np.integer]) -> npt.NDArray[np.intege
             edges = np.unique(np.quantile(values[own], np.arange(1, N_BINS) / N_BINS))
         label[own] = np.searchsorted(edges, values[own], side="right")
     return label + (N_BINS + 1) * joint
+
+
+def _rank_by_neighbours(session: Array, residuals: Residuals) -> IntArray:
+    """Group of each row by the noise of its neighbours in time, about as many rows in each; shape (n,).
+
+    The larger of those before and after it in its session, by their median, so that a burst is seen to its
+    ends. The row itself has no part in it: where the noise is the same, groups differ by chance only.
+    """
+    size, n = np.abs(residuals.reweight(np.ones(len(residuals))).standardized), len(residuals)
+    level = np.zeros(n)
+    for label in pd.unique(session):
+        own = np.flatnonzero(session == label)
+        beside = np.pad(size[own], N_BESIDE)
+        medians = np.median(np.lib.stride_tricks.sliding_window_view(beside, N_BESIDE), axis=1)
+        level[own] = np.maximum(medians[: len(own)], medians[N_BESIDE + 1 :])
+    rank = np.argsort(np.argsort(level, kind="stable"))
+    return rank * int(np.clip(n // ROWS_PER_LEVEL, 1, MAX_LEVELS)) // n
 
 
 def _estimate_local_sds(ends: Array, joint: npt.NDArray[np.integer], residuals: Residuals) -> Array:

@@ -137,8 +137,24 @@ def test_rows_of_any_table_are_grouped_by_session_and_configuration():
     nothing = np.zeros(60, dtype=int)
     alone = Residuals(np.ones(60), nothing, np.zeros((60, 1)), nothing)
     groupings = group_rows(plain, np.arange(60) % 5, alone)
-    assert set(groupings) == {"session", "part of a session", "configuration"}
+    assert set(groupings) == {"session", "part of a session", "stretch of time", "configuration"}
     assert len(groupings["part of a session"].stratum) == 6
     assert "configuration" not in group_rows(plain, np.arange(60), alone)  # single rows are no groups
     untimed = replace(plain, table=RowTable(rows.assign(session_seconds=np.nan)))  # rows in any order
     assert set(group_rows(untimed, np.arange(60) % 5, alone)) == {"session", "configuration"}
+
+
+def test_bursts_of_noise_are_found_by_the_neighbours_in_time():
+    """40 of 200 rows in two bursts, which no column and no part of the session marks."""
+    rows = pd.DataFrame({"session": "a", "session_seconds": 60.0 * np.arange(200.0)})
+    plain = LinearizedFit(RowTable(rows), (), np.ones(200), np.zeros(200), None, ())
+    nothing, burst = np.zeros(200, dtype=int), np.isin(np.arange(200) // 20, [3, 7])
+    for seed in range(5):
+        noise = np.random.default_rng(seed).standard_normal(200)
+        seen, even = (
+            Residuals(one, nothing, np.zeros((200, 1)), nothing) for one in (noise * (1 + 4 * burst), noise)
+        )
+        found = estimate_unevenness(seen, group_rows(plain, np.arange(200), seen))
+        assert found.carriers == ("stretch of time",)
+        assert 2.0 < np.median(found.ratio[burst]) / np.median(found.ratio[~burst]) < 7.0  # 5, some mixed
+        assert estimate_unevenness(even, group_rows(plain, np.arange(200), even)).carriers == ()
