@@ -221,7 +221,7 @@ def prepare_looks(selection: Selection, alpha: float) -> Looks | None:
     )
     # A test beside unknown structure is without the shapes of that.
     whole = all({*one.log_evidence_by_cause} <= {*map(classify_cause, one.hypotheses)} for one in known)
-    independent = selection.problem.autocorrelation is None
+    independent = selection.problem.noise_filter is None
     # Of what was found first and is needless at the end, the search may make more without some rows.
     first = next((one.naming or one.misfit for one in selection.law_causes), None)
     dropped = first is not None and first.residual is not selection.first_misfit.residual

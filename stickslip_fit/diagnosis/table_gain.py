@@ -27,10 +27,12 @@ from stickslip_fit.diagnosis.cross_validation import (
     MIN_SESSIONS,
     N_FOLDS,
     Split,
+    confirm_selection,
     deal_kinds,
     extend_by_steps,
 )
 from stickslip_fit.diagnosis.finding import Finding, Gain, TableInfo
+from stickslip_fit.diagnosis.fold_selection import prepare_looks
 from stickslip_fit.diagnosis.gain import FOLD_SEED, FoldSearches, estimate_gains
 from stickslip_fit.diagnosis.hypotheses import compute_changes
 from stickslip_fit.diagnosis.linearized import ExtendedFit, LinearizedFit, split_positions
@@ -69,6 +71,7 @@ def measure_table_gain(
     linearized = problem.linearize()
 
     order = list(dict.fromkeys(problem.rows["session"].astype(object)))
+    looks = prepare_looks(searches.selection, searches.alpha) if searches.selection.law_causes else None
 
     def estimate(
         kinds: IntArray, held_out: str, labels: Sequence[IntArray] = ()
@@ -84,6 +87,7 @@ def measure_table_gain(
             workers=workers,
             progress=lambda done, number: progress("predicting held-out rows", 0.2 + 0.7 * done / number),
             predict=predict_held_out_rows,
+            confirm=partial(confirm_selection, looks) if looks is not None else None,
             recolour=linearized.recolour,
             beyond=partial(slopes_beyond, selection),
         )

@@ -196,7 +196,7 @@ def _solve_places(
         before = places[:, list(linear)]
         places[:, list(linear)] = np.clip(before + change / length, low, high)
         residual -= np.einsum("mnk,mk->mn", some, (places[:, list(linear)] - before) * length)
-    return places, np.where(usable, np.sum(residual**2, axis=1), np.inf)
+        return places, np.where(usable, np.sum(residual**2, axis=1), np.inf)
 
 
 def find_linear(model: Model, values: Array, among: Sequence[int]) -> list[int]:

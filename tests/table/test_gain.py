@@ -8,6 +8,8 @@ import pytest
 
 import stickslip_fit as ssf
 from stickslip_fit.causes.generic import ColumnDependence
+from stickslip_fit.diagnosis import gain, table_gain
+from stickslip_fit.diagnosis.cross_validation import select_from_training
 from stickslip_fit.diagnosis.table_gain import hold_out_kinds, number_time_blocks
 from tests.table.bench import BY_DIRECTION, CUBIC, LAW, bench, design
 
@@ -58,6 +60,31 @@ def test_with_nothing_wrong_nothing_is_gained(nothing):
     gain = nothing.gain
     assert (gain.low, gain.high) == (0, 0)
     assert gain.baseline == gain.extended == pytest.approx(0.2, rel=0.15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("timed", [False, True], ids=["any order", "in order"])
+def test_a_clear_answer_is_not_searched_for_again_in_each_fold(monkeypatch, timed):
+    """A pump's flow saturates: a cause without a name, in each fold as in all rows."""
+    rng = np.random.default_rng(4)
+    dp = rng.uniform(0.5, 9.0, 120)
+    flow = 3.2 * np.sqrt(np.minimum(dp, 6.5)) + 0.05 * rng.standard_normal(120)
+    frame, searched = pd.DataFrame({"dp": dp, "Q": flow}), []
+    diagnosis = ssf.diagnose_table(frame, "Q ~ k*sqrt(dp)", time="order" if timed else None, gain=False)
+
+    def search(problem, split, selector, seed):
+        searched.append(split)
+        return select_from_training(problem, split, selector, seed)
+
+    monkeypatch.setattr(gain, "select_from_training", search)
+    confirmed = diagnosis.measure_gain(workers=1).gain
+    in_short = len(searched)
+    monkeypatch.setattr(table_gain, "prepare_looks", lambda *_: None)
+    repeated = diagnosis.measure_gain(workers=1).gain
+    assert in_short <= 0.3 * (len(searched) - in_short)
+    assert confirmed.baseline == pytest.approx(repeated.baseline, rel=1e-9)
+    assert confirmed.extended == pytest.approx(repeated.extended, rel=0.05)
+    assert confirmed.extended < 0.3 * confirmed.baseline
 
 
 @pytest.mark.slow
