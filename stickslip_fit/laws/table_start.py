@@ -148,7 +148,7 @@ def _draw(
         return rng.permutation(spread(parameter.lower, parameter.upper, number))
     low, high = np.array([[np.min(values), np.max(values)] for values in columns.values()]).T
     which = rng.integers(len(low), size=number)
-    middle, width = ((high + low) / 2)[which], np.maximum(high - low, np.finfo(float).tiny)[which]
+    middle, width = ((high + low) / 2)[which], np.where(high > low, high - low, 1.0)[which]
     largest = np.maximum(np.maximum(-low, high), np.finfo(float).tiny)[which]
     response = float(np.sqrt(np.mean(y**2))) or 1.0
     ratio = 10.0 ** rng.uniform(-1.0, 1.0, number)

@@ -105,6 +105,16 @@ def test_each_session_has_its_own_values_and_shared_ones_have_one():
     assert shared["standard_error"].to_numpy() == pytest.approx(by_others.bse.to_numpy(), rel=1e-6)
 
 
+def test_a_law_that_overflows_at_some_start_values_is_fitted_without_a_word():
+    """A discharge under a set voltage, which is the same in all of a run: of it no width says anything."""
+    rng, t = np.random.default_rng(202), np.tile(0.25 * np.arange(80), 3)
+    frame = pd.DataFrame({"run": np.repeat([1, 2, 3], 80), "t": t})
+    frame["V_set"] = np.repeat([5.0, 9.0, 12.0], 80)
+    frame["V"] = frame["V_set"] * np.exp(-t / 10.0) + 0.008 * rng.standard_normal(240)
+    fitted = ssf.fit_table(frame, "V ~ V_set*exp(-t/tau)", session="run").parameters
+    assert fitted["estimate"].to_numpy(float) == pytest.approx(np.full(3, 10.0), rel=0.01)
+
+
 def test_predictions_are_those_of_others_in_whatever_order_and_cover_new_values():
     frame = bench(3, difference=0.0)
     fit, by_others = ssf.fit_table(frame, LAW), sm.OLS(frame["F"], design(frame, extended=False)).fit()
