@@ -326,7 +326,7 @@ def keep_units(text: str) -> str:
     return _KEPT_TOGETHER.sub(NO_BREAK_SPACE, text)
 
 
-_LONG_TIMES = {"years": 2.0, "days": 3.0, "h": 2.0}  # from how many on each is used
+LONG_TIMES = {"years": 2.0, "days": 3.0, "h": 2.0}  # from how many on each is used
 
 
 def choose_time_unit(value: float, unit: str) -> tuple[str, float]:
@@ -340,7 +340,7 @@ def choose_time_unit(value: float, unit: str) -> tuple[str, float]:
     (('s', 1.0), ('h', 3600.0), ('min', 1.0))
     """
     if unit == "s":
-        for name, least in _LONG_TIMES.items():
+        for name, least in LONG_TIMES.items():
             seconds = float(UNITS[name].numerator)
             if abs(value) >= least * seconds:
                 return name, seconds

@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, BoolArray
+from stickslip_fit.causes.late_columns import find_late, with_late_columns
 from stickslip_fit.causes.times import AMBIGUOUS, read_times
 from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.laws.table import mistyped_column
@@ -82,6 +83,8 @@ class TableRoles:
 def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] = ()) -> pd.DataFrame:
     """The rows of a table as laws and causes see them; `numbers` are the columns that have to be numbers.
 
+    Those of them that are other columns late (`late_columns`) are made where there is a time.
+
     Raises
     ------
     InputError
@@ -91,7 +94,8 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
     if not isinstance(frame, pd.DataFrame):
         raise InputError(f"a table is a DataFrame or the path of a file, not {type(frame).__name__}")
     names = [str(name) for name in frame.columns]
-    numbers = tuple(dict.fromkeys(numbers))
+    late = find_late(numbers, names, roles.time_unit) if roles.time else {}
+    numbers = tuple(dict.fromkeys(late[name][0] if name in late else name for name in numbers))
     for role, name in roles.columns.items():
         if not isinstance(name, str):
             raise InputError(f"{role} names a column of the table, so it is text, not {name!r}")
@@ -144,7 +148,7 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
         rows["session_seconds"] -= first
     else:
         rows["session_seconds"] = np.nan
-    return rows
+    return with_late_columns(rows, late)
 
 
 def _label_sessions(cells: pd.Series[Any]) -> pd.Series[Any]:

@@ -1,25 +1,33 @@
-"""Logged conditions that steps follow late, as the temperature of a piezo follows that of the room.
+"""Columns that the response follows late, as the temperature of a piezo follows that of the room.
 
-No cause has a lag; where what the causes and structure without a name explain together is what a column was
-some time before, that is told. The lag is a delay, or that of a body that follows its surroundings
-exponentially, which sees them through a low-pass filter with one time constant.
+No cause of a log has a lag; where what the causes and structure without a name explain together is what a
+column was some time before, that is told. The lag is a delay, or that of a body that follows its surroundings
+exponentially, which sees them through a low-pass filter with one time constant. Of a table with a time, a
+column that explains clearly more through such a filter, in the noise that is likeliest beside it, is searched
+as one more column (`causes.late_columns`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from stickslip_fit._typing import Array
+from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes.late_columns import find_late, low_pass, name_late
+from stickslip_fit.diagnosis.autocorrelation import Autocorrelation
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.mean_structure import Mean, most_explained
 from stickslip_fit.diagnosis.testability import is_log
-from stickslip_fit.logs.fading import Fading
 from stickslip_fit.logs.schema import CONDITIONS, COVARIATE_PREFIX, has_times
 
 LAGS = 60.0 * np.array([2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0])  # s
 MIN_SHARE, MIN_MORE = 0.6, 0.15  # of what is explained; by how much more than without a lag
+N_LAGS, N_FINER = 10, 11  # of a table; between the two next to the best
+MIN_SPACINGS, MAX_RECORD = 2.0, 0.25  # its lags are from so many intervals to such a part of the record
+MIN_ADVANTAGE = 6.0  # nats over the column as it is, beside the logarithm of the number of trials
 
 
 @dataclass(frozen=True)
@@ -64,6 +72,61 @@ def find_lagged_column(linearized: LinearizedFit, shape: Array) -> LaggedColumn 
     return most
 
 
+def find_late_columns(
+    linearized: LinearizedFit, columns: Sequence[str], sample: IntArray | None, time_unit: str
+) -> dict[str, tuple[str, float]]:
+    """Columns of a table that explain clearly more with a lag, as of `late_columns.find_late`.
+
+    Parameters
+    ----------
+    linearized : LinearizedFit
+        Of n rows, whose noise counts as independent.
+    columns : sequence of str
+        Of numbers; at most one lag of each is taken.
+    sample : array of int, shape (n,), or None
+        As of `Autocorrelation`; None of noise that is independent anyway.
+    time_unit : str
+        Of session_seconds.
+    """
+    rows, found = linearized.rows, dict[str, tuple[str, float]]()
+    if sample is None:
+        sample = 2 * np.arange(len(linearized), dtype=np.intp)
+    spacing = rows.groupby("session")["session_seconds"].diff()
+    shortest, longest = (
+        MIN_SPACINGS * spacing[spacing > 0].median(),
+        MAX_RECORD * rows["session_seconds"].max(),
+    )
+    if not (columns and shortest < longest):
+        return {}
+    plain = Mean.of(linearized, np.zeros((len(linearized), 0)), sample)
+
+    def effect(values: Array) -> Array:
+        standard = (values - values.mean()) / (float(np.std(values)) or 1.0)
+        return linearized.project(linearized.whiten(standard[:, None]))
+
+    price = MIN_ADVANTAGE + float(np.log(len(columns) * N_LAGS))
+    lags = np.geomspace(shortest, longest, N_LAGS)
+    for column in columns:
+        values = rows[column].to_numpy(float)
+        least = max(plain.value, plain.extend(linearized, effect(values)).value) + price
+
+        def find_best(lags: Array, under: Autocorrelation, column: str = column) -> tuple[str, Mean]:
+            """Name of the column with the likeliest lag, and the mean with it."""
+            names = [name_late(column, lag, time_unit) for lag in lags.tolist()]
+            late = find_late(names, [column], time_unit)
+            effects = [effect(low_pass(rows, rows[of].to_numpy(float), lag)) for of, lag in late.values()]
+            best = most_explained(linearized, effects, plain.columns, under)
+            return [*late][best], plain.extend(linearized, effects[best])
+
+        tried = [find_best(lags, under) for under in (Autocorrelation(sample, None), plain.noise)]
+        name, beside = max(tried, key=lambda one: one[1].value)
+        if beside.value > least:
+            lag = find_late([name], [column], time_unit)[name][1]
+            finer = lag * (lags[1] / lags[0]) ** np.linspace(-1.0, 1.0, N_FINER)
+            found |= find_late([find_best(finer, beside.noise)[0]], [column], time_unit)
+    return found
+
+
 def delay(rows: pd.DataFrame, values: Array, lag: float) -> Array:
     """Values some time before, linear between rows, and a session's first before it; as `low_pass`."""
     late = values.copy()
@@ -71,18 +134,3 @@ def delay(rows: pd.DataFrame, values: Array, lag: float) -> Array:
         seconds = rows["session_seconds"].to_numpy(float)[places]
         late[places] = np.interp(seconds - lag, seconds, values[places])
     return late
-
-
-def low_pass(rows: pd.DataFrame, values: Array, lag: float) -> Array:
-    """Values as a body of one time constant follows them in each session, see `Fading`.
-
-    Parameters
-    ----------
-    rows : DataFrame
-        With session and session_seconds, those of each session in order of time.
-    values : array, shape (n,)
-    lag : float
-        Time constant, s.
-    """
-    session = pd.factorize(rows["session"].astype(object))[0].astype(np.int64)
-    return Fading(rows["session_seconds"].to_numpy(float), session, lag).follow(values)

@@ -85,7 +85,7 @@ def find_mean_effects(linearized: LinearizedFit, effects: Sequence[Array], mean:
     for _ in range(MAX_EFFECTS if tried else 0):
         better = None
         for under in (Autocorrelation(mean.noise.sample, None), mean.noise):
-            effect = tried[_most_explained(linearized, tried, mean.columns, under)]
+            effect = tried[most_explained(linearized, tried, mean.columns, under)]
             beside = mean.extend(linearized, effect)
             advantage = beside.value - mean.value - price(effect) - np.log(len(tried))
             if better is None or advantage > better[0]:
@@ -137,7 +137,7 @@ def _session_polynomials(linearized: LinearizedFit) -> Iterator[Array]:
         yield own[:, np.linalg.norm(own, axis=0) > EFFECT_TOL]
 
 
-def _most_explained(
+def most_explained(
     linearized: LinearizedFit, effects: Sequence[Array], mean: Array, noise: Autocorrelation
 ) -> int:
     """Which effect explains most of what is left under some noise, at half of log(n) for each direction."""

@@ -25,11 +25,13 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes import table_library
 from stickslip_fit.causes.empty_cells import leave_out_gaps
 from stickslip_fit.causes.generic import SessionOffset
+from stickslip_fit.causes.late_columns import with_late_columns
 from stickslip_fit.causes.levels import MAX_LEVELS, ParametersBySession
 from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, prepare_rows
 from stickslip_fit.diagnosis.autocorrelation import number_samples
 from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.finding import TableInfo
+from stickslip_fit.diagnosis.lagged import find_late_columns
 from stickslip_fit.diagnosis.linearized import LawBlock, linearize_fit
 from stickslip_fit.diagnosis.noise_growth import with_growing_noise
 from stickslip_fit.diagnosis.pipeline import diagnose_problem
@@ -42,6 +44,7 @@ from stickslip_fit.diagnosis.table_rows import (
     as_law,
     declared_time_unit,
     describe_choices,
+    describe_late_columns,
     describe_weights,
     find_columns,
     name_file,
@@ -238,6 +241,16 @@ def problem_from_table(
     group = pd.factorize(rows[roles.group])[0].astype(np.intp) if roles.group else session
     seconds = rows["session_seconds"].to_numpy(float)
     sample = number_samples(seconds, session) if roles.time else None
+    if roles.time and generic_causes is None and repeatability > least_sd:
+        scale = np.full(len(rows), repeatability)
+        linearized = linearize_fit(RowTable(rows), (part,), y, scale, shared=bound.n_shared)
+        numbers = [
+            name
+            for name in table_library.covariate_columns(rows, bound, roles)
+            if table_library.is_numeric(rows[name])
+        ]
+        late = find_late_columns(linearized, numbers, sample, roles.time_unit)
+        rows = with_late_columns(rows, late)
     built = (
         table_library.generic_causes(rows, bound, roles) if generic_causes is None else tuple(generic_causes)
     )
@@ -297,7 +310,8 @@ def describe_table(
         roles=roles.columns,
         **source,
     )
-    return replace(info, notes=(*info.notes, *describe_weights(searched, info)))
+    late = describe_late_columns(problem.rows, roles.time_unit)
+    return replace(info, notes=(*info.notes, *late, *describe_weights(searched, info)))
 
 
 def _check_response(y: Array, rows: pd.DataFrame, name: str) -> None:

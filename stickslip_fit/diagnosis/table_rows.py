@@ -16,6 +16,7 @@ from stickslip_fit._format import format_significant, join_words
 from stickslip_fit._input import format_path
 from stickslip_fit.causes.cause_formula import CauseFormula
 from stickslip_fit.causes.empty_cells import leave_out_empty
+from stickslip_fit.causes.late_columns import parse_late
 from stickslip_fit.causes.roles import TableRoles, direction_labels, prepare_rows
 from stickslip_fit.causes.times import read_times
 from stickslip_fit.diagnosis.finding import TableInfo
@@ -150,6 +151,17 @@ def describe_weights(problem: DiagnosisProblem, table: TableInfo) -> tuple[str, 
     return (
         f"The noise of {table.response} grows with the response, from {least} where the law predicts "
         f"{at_least} to {most} where it predicts {at_most}; rows are weighted by 1 / noise^2.",
+    )
+
+
+def describe_late_columns(rows: pd.DataFrame, time_unit: str) -> tuple[str, ...]:
+    """What columns are that were made from others, as sentences."""
+    parsed = {name: parse_late(name, time_unit) for name in map(str, rows)}
+    return tuple(
+        f"{name}: {late[0]} behind a low-pass filter with that time constant, as a heavy body follows it. It "
+        f"was searched as one more column, since it explains more than {late[0]} itself."
+        for name, late in parsed.items()
+        if late is not None and late[0] in parsed
     )
 
 

@@ -18,6 +18,7 @@ import pandas as pd
 from stickslip_fit._json import to_plain, write_json
 from stickslip_fit._summary import Summarized
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes.late_columns import find_late
 from stickslip_fit.causes.levels import LevelCause
 from stickslip_fit.causes.roles import ORDER, ROW_NUMBER, TableRoles, prepare_rows
 from stickslip_fit.causes.times import read_times
@@ -188,7 +189,7 @@ class TableFit(Summarized):
         base = getattr(self.law, "law", self.law)
         response = set(base.left.names) - set(base.right.names)
         needed = [name for name in self.law.columns if name not in response]
-        needs_time = "session_seconds" in needed
+        needs_time = "session_seconds" in needed or bool(find_late(needed, frame, self.roles.time_unit))
         texts = {self.roles.direction, self.roles.group, self.roles.session}
         texts |= {getattr(getattr(cause, "source", None), "by", None) for cause in self._causes}
         levels = [cause for cause in self._causes if isinstance(cause, LevelCause)]

@@ -8,9 +8,10 @@ import pandas as pd
 import pytest
 from scipy.signal import lsim
 
+from stickslip_fit.causes.late_columns import low_pass
 from stickslip_fit.diagnosis import diagnose
 from stickslip_fit.diagnosis._json import diagnosis_to_json
-from stickslip_fit.diagnosis.lagged import delay, low_pass
+from stickslip_fit.diagnosis.lagged import delay
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden
 
