@@ -19,7 +19,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis._unknown_summary import describe_lag, describe_share, share_by_equation
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, DataInfo, Finding, Gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
-from stickslip_fit.diagnosis.residuals import compute_shape, term_change
+from stickslip_fit.diagnosis.residuals import compute_shape, fitted_effect
 from stickslip_fit.diagnosis.selection import allocate_alpha
 from stickslip_fit.diagnosis.withdrawal import explain_unsupported
 from stickslip_fit.laws.published import name_of_laws
@@ -159,13 +159,14 @@ class Words(ABC):
         if name not in rows or not pd.api.types.is_numeric_dtype(rows[name]) or selected.misfit is None:
             return ""
         linearized, values = selection.problem.linearize(), rows[name].to_numpy(float)
-        change = compute_shape(selected, linearized)
-        if version is not None:
-            change = linearized.project(linearized.whiten(term_change(selection, version)[:, None]))[:, 0]
+        if version is None:
+            change = linearized.unwhiten(compute_shape(selected, linearized))
+        else:
+            change = fitted_effect(selection, version)
         known = np.where(np.isfinite(values), values, np.nanmean(values))[:, None]
         # As of the change, what the law's own parameters leave of the values.
         left = linearized.unwhiten(linearized.project(linearized.whiten(known))[:, 0])
-        way = find_way(values, left, info.sign * linearized.unwhiten(change))
+        way = find_way(values, left, info.sign * change)
         label = "time" if name == "session_seconds" else self.describe_carrier(name).removeprefix("follows ")
         if way in ("rises", "falls"):
             return f"; beyond the law {info.response} {way} with {label}"

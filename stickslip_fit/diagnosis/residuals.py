@@ -103,6 +103,12 @@ def term_change(selection: Selection, version: Any) -> Array:
     return compute_changes(selection.problem.linearize(), version, values)[:, 0]
 
 
+def fitted_effect(selection: Selection, version: Any) -> Array:
+    """The same beyond what calibration absorbs, shape (n,)."""
+    linearized, change = selection.problem.linearize(), term_change(selection, version)[:, None]
+    return linearized.unwhiten(linearized.project(linearized.whiten(change))[:, 0])
+
+
 def remove_effects(log: Log, selection: Selection, causes: Collection[str]) -> Log:
     """The log with counts as they would be without some of the causes of a selection.
 
@@ -126,8 +132,7 @@ def finding_shape(selection: Selection, selected: SelectedCause) -> Array:
     linearized = selection.problem.linearize()
     if selected.cause != UNKNOWN or selected.version is None:
         return compute_shape(selected, linearized)
-    change = term_change(selection, selected.version)[:, None]
-    return linearized.unwhiten(linearized.project(linearized.whiten(change))[:, 0])
+    return fitted_effect(selection, selected.version)
 
 
 def bin_values(values: Array) -> IntArray:

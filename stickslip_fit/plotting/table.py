@@ -29,6 +29,7 @@ from stickslip_fit.diagnosis.residuals import (
     compute_shape,
     explained_share,
     find_carrier,
+    fitted_effect,
 )
 from stickslip_fit.errors import InputError
 from stickslip_fit.estimation import TableFit
@@ -172,8 +173,11 @@ def draw_table_finding(
 ) -> tuple[str, Figure]:
     """The label of a finding's carrier, and the figure of its residuals before and after."""
     rows = _collect(diagnosis, table)
-    linearized = diagnosis.selection.problem.linearize()
-    shape = linearized.unwhiten(compute_shape(selected, linearized))
+    if selected.version is None:
+        linearized = diagnosis.selection.problem.linearize()
+        shape = linearized.unwhiten(compute_shape(selected, linearized))
+    else:
+        shape = fitted_effect(diagnosis.selection, selected.version)
     label, values, levels = _find_carrier_values(rows, finding, selected, shape, comparison)
     extended, is_effect = selected.version is not None, label == FITTED_EFFECT
     figure = draw_sides(

@@ -54,6 +54,19 @@ def test_the_saved_law_filters_the_columns_of_another_table(tmp_path):
 
 
 @pytest.mark.slow
+def test_the_figure_shows_the_effect_of_a_cause_that_is_found_with_another():
+    """The bench was cold when the log began: neither explains enough alone."""
+    frame = spectrometer(1)
+    frame["px"] += 0.5 * (1.0 - np.exp(-frame["t"] / 3000.0))
+    found = ssf.diagnose_table(frame, LAW, time="t", gain=False)
+    assert len(found.findings) == 2
+    place = next(k for k, one in enumerate(found.findings) if one.cause.endswith("late"))
+    (dashed,) = (one for one in found.plot_residuals(place)[0].lines if one.get_linestyle() == "--")
+    rise = np.polyfit(*dashed.get_data(), 1)[0]
+    assert rise == pytest.approx(0.3, rel=0.15)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("lag", "rise"), [(0.0, 0.3), (LAG, 0.0)], ids=["at once", "not at all"])
 def test_no_lag_is_searched_where_the_column_explains_as_much(lag, rise):
     found = ssf.diagnose_table(spectrometer(3, lag=lag, rise=rise), LAW, time="t", gain=False)
