@@ -3,26 +3,35 @@
 Angles in a column of degrees look like radians if they stay within the joint's range in radians and either
 all are whole degrees when they are read as radians, or there are many of them over half of that range and
 hardly one is a round number of degrees. Lengths in a column of millimetres look like metres if all of them
-stay within the joint's range in metres.
+stay within the joint's range in metres. Temperatures of a session look like degrees Fahrenheit or kelvins if,
+read so, they are those of the other sessions, and else far from these.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy import pi
 
 from stickslip_fit._typing import Array
 from stickslip_fit.logs._table import parse_numbers
 from stickslip_fit.logs.schema import ORIENTATION, LogCells
 from stickslip_fit.machine import Machine
-from stickslip_fit.units import from_si
+from stickslip_fit.units import UNITS, from_si
 
 WHOLE_DEG = 0.03  # deg; what three decimals of a radian leave
 ROUND = 0.01  # deg; people write angles in degrees no finer
 FEW, COARSE_DEG = 3, 5.0  # of fewer values each has to be a multiple of so many degrees
 TURNS = (-2 * pi, 2 * pi)  # of the base
+TEMPERATURE = "temperature"
+KELVINS = UNITS["°C"].offset
+MAX_APART, MIN_OFF = (
+    8.0,
+    20.0,
+)  # K, of medians of sessions: in the unit that is suspected, and as they were read
 MANY, MIN_SPREAD = 5, 0.5  # values of a joint, and the share of its range that they cover, in radians
 
 
@@ -39,6 +48,28 @@ def doubt_units(cells: LogCells, machine: Machine) -> Iterator[str]:
         yield from _doubt_angle(cells, field, widest)
     for field in ORIENTATION:
         yield from _doubt_angle(cells, field, TURNS)
+
+
+def doubt_temperatures(columns: Mapping[str, pd.Series[Any]]) -> Iterator[str]:
+    """A sentence for each session whose temperatures look as if they were in another unit.
+
+    `columns` are those of a log in SI, among them the session.
+    """
+    if TEMPERATURE not in columns:
+        return
+    celsius = pd.Series(from_si(columns[TEMPERATURE].to_numpy(float), "°C"))
+    medians = celsius.groupby(columns["session"].to_numpy(object), sort=False).median().dropna()
+    for session, own in medians.items():
+        usual = float(medians.drop(session).median())
+        if not abs(own - usual) > MIN_OFF:
+            continue
+        for unit, suspected in (("degrees Fahrenheit", (own - 32.0) / 1.8), ("kelvins", own - KELVINS)):
+            if abs(suspected - usual) < MAX_APART:
+                yield (
+                    f"session {session}, temperature: the values look like {unit} (median {own:.1f}, that of "
+                    f"the other sessions {usual:.1f}); they were read as degrees Celsius. If they are "
+                    f"{unit}, convert them"
+                )
 
 
 def _doubt_angle(cells: LogCells, field: str, span: tuple[float, float]) -> Iterator[str]:

@@ -24,7 +24,7 @@ from stickslip_fit._typing import Array, BoolArray, Int64Array
 from stickslip_fit.errors import InputError, InputIssue
 from stickslip_fit.logs._files import SourcePath, Sources, hash_sources, open_sources
 from stickslip_fit.logs._table import IssueCollector, IssueMessage, label_codes, run_in_threads
-from stickslip_fit.logs._units import doubt_units
+from stickslip_fit.logs._units import doubt_temperatures, doubt_units
 from stickslip_fit.logs.history import add_session_history, add_unknown_history, steps_before
 from stickslip_fit.logs.log import Log
 from stickslip_fit.logs.plan import read_traverses, report_outside_range
@@ -420,6 +420,7 @@ def read_log(
     columns, notes = build_columns(files, kept, machine, machine.joints)
     issues.raise_if_any()
     doubts = [doubt for cells in files for doubt in doubt_units(cells, machine)]
+    doubts += doubt_temperatures(columns)
     for doubt in doubts:
         warnings.warn(doubt, UserWarning, stacklevel=2)
     notes = (
