@@ -16,7 +16,7 @@ import pandas as pd
 from stickslip_fit._typing import Array
 from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.friction import StageCause
-from stickslip_fit.causes.kinds import FactorCause
+from stickslip_fit.causes.kinds import FactorCause, OnSomeJoints
 from stickslip_fit.causes.parameters import CauseParameter, Sizes, fill_empty, missing_column
 from stickslip_fit.laws import State
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
@@ -205,7 +205,7 @@ CHEBYSHEV_ORDER = 3
 
 
 @dataclass(frozen=True)
-class Covariate(FactorCause):
+class Covariate(OnSomeJoints, FactorCause):
     """gamma times 1 + f(column), f a polynomial over the log's range and constant beyond; 0 at the mean.
 
     Attributes

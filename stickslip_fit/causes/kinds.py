@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -225,6 +225,36 @@ class OfJoints(FactorCause):
 
     def explain_missing(self, rows: pd.DataFrame) -> str | None:
         return self.cause.explain_missing(rows[rows["joint"].isin(self.on)])
+
+
+@dataclass(frozen=True)
+class OnSomeJoints(Cause):
+    """A cause that may act on one joint alone, as an end-stop detector that stands at that joint does.
+
+    Attributes
+    ----------
+    on : tuple of int
+        The joints; empty for all.
+    """
+
+    on: tuple[int, ...] = field(default=(), kw_only=True)
+
+    @property
+    def is_restricted(self) -> bool:
+        return bool(self.on)
+
+    def acts_on(self, law: StepLaw) -> bool:
+        return (not self.on or law.joint in self.on) and super().acts_on(law)
+
+    def restricted(self, rows: pd.DataFrame) -> list[Cause]:
+        """See `Cause.restricted`: each joint alone."""
+        joints = sorted({int(joint) for joint in rows["joint"]})
+        return [] if self.on or len(joints) < 2 else [replace(self, on=(joint,)) for joint in joints]
+
+    def describe(self, parameters: Sequence[SizedParameter]) -> str:
+        """See `Cause.describe`; with the joint."""
+        described = super().describe(parameters)
+        return f"{described}, at joint {self.on[0]} only" if self.on else described
 
 
 class CountCause(Cause):

@@ -192,6 +192,7 @@ class LoadHysteresis(FactorCause):
     remedy = "letting a traverse of little load come before each"
     needs_geometry = True
     columns = ("before_load",)
+    may_differ_by_joint = True
     parameters = (CauseParameter("k", "%", "change of the step size after a traverse under full load"),)
     scale = (0.01,)
     largest_sizes = ((0.1,),)

@@ -16,7 +16,7 @@ from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.base import Cause, ExtendedLaw, extend
 from stickslip_fit.causes.joint_ranges import NOMINAL_TRAVEL, JointRanges, Ranges
-from stickslip_fit.causes.kinds import CountCause, FactorCause
+from stickslip_fit.causes.kinds import CountCause, FactorCause, OnSomeJoints
 from stickslip_fit.causes.parameters import CauseParameter, Row, Sizes
 from stickslip_fit.laws import Configuration, ConstantStep, State, StepLaw
 from stickslip_fit.units import PRISMATIC
@@ -315,7 +315,7 @@ class WornSpot(GuideProfileCause):
 
 
 @dataclass(frozen=True)
-class EndStopLatency(CountCause):
+class EndStopLatency(OnSomeJoints, CountCause):
     """N plus L, whatever the traverse's length."""
 
     name = "end-stop-latency"
@@ -338,7 +338,7 @@ class EndStopLatency(CountCause):
 
 
 @dataclass(frozen=True)
-class ReversalLoss(CountCause):
+class ReversalLoss(OnSomeJoints, CountCause):
     """N plus L where the traverse before went the other way; a session's first did not."""
 
     name = "reversal-loss"

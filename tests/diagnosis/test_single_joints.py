@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from stickslip_fit.diagnosis import diagnose
+from stickslip_fit.estimation import load_result
 from stickslip_fit.logs import read_log
 from stickslip_fit.machine import load_machine
 
@@ -107,3 +108,46 @@ def test_it_is_named_with_its_joint_and_size(joint, profile, cause, sizes, tmp_p
         truth, margin = sizes[parameter.name], parameter.size.high - parameter.size.low
         assert abs(parameter.size.estimate - truth) < margin  # twice the half-width: 4 standard errors
     assert f"joint {joint}'s steps" in str(found).lower()
+
+
+def late(frame, rng):
+    """The detector stands at joint 2, and hears its end stop late."""
+    frame.loc[frame["joint"] == 2, "steps"] += 150
+    return "end-stop-latency", 2
+
+
+def backlash(frame, rng):
+    """Only joint 4 loses steps where it turns round."""
+    frame["steps"] += 70 * (frame["joint"].eq(4) & turns_round(frame))
+    return "reversal-loss", 4
+
+
+def vacuum(frame, rng):
+    """A column of the lab's own that joint 1 follows."""
+    frame["vacuum_Pa"] = 2.0 + 0.2 * rng.standard_normal(len(frame)).cumsum().round(2)
+    score = (frame["vacuum_Pa"] - frame["vacuum_Pa"].mean()) / frame["vacuum_Pa"].std()
+    frame["steps"] = (frame["steps"] / (1 + 0.02 * score * frame["joint"].eq(1))).round().astype(int)
+    return "covariate:vacuum_Pa", 1
+
+
+def turns_round(frame):
+    before = frame.groupby(["session", "joint"])["direction"].shift()
+    return before.notna() & (before != frame["direction"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hide", [late, pytest.param(backlash, marks=pytest.mark.nightly), vacuum])
+def test_what_acts_on_one_joint_only_is_named_there(hide, tmp_path):
+    (tmp_path / "stage.toml").write_text(MACHINE, encoding="utf-8")
+    frame = drive({}, seed=3)
+    cause, joint = hide(frame, np.random.default_rng(0))
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    log = read_log(tmp_path / "log.csv", machine=load_machine(tmp_path / "stage.toml"))
+    found = diagnose(log, gain=False)
+    assert [(one.cause, one.joints) for one in found.findings] == [(cause, (joint,))]
+    assert f"at joint {joint} only" in " ".join(str(found).split())
+    law = found.extended_law()
+    law.save(tmp_path / "law.json")
+    again = load_result(tmp_path / "law.json")
+    (acting,) = again.joints[joint].law.causes
+    assert [one for one, fit in again.joints.items() if acting.acts_on(fit.law)] == [joint]
