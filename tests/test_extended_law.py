@@ -242,7 +242,9 @@ def test_what_a_diagnosis_names_becomes_a_law_and_misfires_take_no_part(run):
     nothing = Diagnosis.extended_law(
         SimpleNamespace(findings=[], table=None, selection=search, require_log=lambda: log)
     )
-    assert "as it was, since no cause was named" in diagnosing.save_extended_law(nothing, Path("plain.json"))
+    assert "as it was: nothing was found that extends it" in diagnosing.save_extended_law(
+        nothing, Path("plain.json")
+    )
 
 
 @pytest.mark.slow

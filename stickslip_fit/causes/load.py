@@ -71,6 +71,7 @@ BEND_SHAPES: dict[str, tuple[Callable[[Array], Array], ...]] = {
     "tanh": (lambda load: np.tanh(2.0 * load),),
     "square-and-cube": (np.square, lambda load: load * load * load),
 }
+BEND_TEXTS = {"square": "u²", "cube": "u³", "tanh": "tanh(2u)", "square-and-cube": "u²"}
 PRIOR_SD = 0.05  # of each size of a bend that has two, which few configurations cannot tell apart
 BEND_SIZES = {"k": "bend", "cubic": "cubic bend"}
 JOINT_DIRECTIONS = tuple((joint, direction) for joint in JOINTS for direction in "+-")
@@ -145,8 +146,10 @@ class LoadNonlinearity(TermCause):
         bends, cubic = (
             join_words([text for k, text in sizes.items() if k.name == name]) for name in BEND_SIZES
         )
-        parts = [f"by {bends}" if bends else "", f"with the cube of the load by {cubic}" if cubic else ""]
-        return f"The response to load bends, {', and '.join(filter(None, parts))} (joint and direction)"
+        shape = BEND_TEXTS[self.form]
+        parts = [f"with {shape} by {bends}" if bends else "", f"with u³ by {cubic}" if cubic else ""]
+        how = ", and ".join(filter(None, parts))
+        return f"The response to load bends, {how} (joint and direction; u is the load)"
 
     def unload(self, state: State) -> State:
         if len(BEND_SHAPES[self.form]) == 1:

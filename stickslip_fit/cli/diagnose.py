@@ -245,7 +245,7 @@ def describe_extension(diagnosis: Diagnosis) -> str:
     from stickslip_fit.diagnosis._unknown_summary import name_findings
 
     names = name_findings([finding for finding in diagnosis.findings if finding.version is not None])
-    return f"extended by {', '.join(names)}" if names else "as it was, since no cause was named"
+    return f"extended by {', '.join(names)}" if names else "as it was: nothing was found that extends it"
 
 
 class ThesisPlan(StrEnum):
@@ -366,7 +366,7 @@ def save_extended_law(law: Result | TableFit, path: Path) -> str:
     extended = next(iter(law.joints.values())).law
     causes = extended.causes if isinstance(extended, ExtendedLaw) else ()
     names = ", ".join(cause.name for cause in causes)
-    kind = f"extended by {names}" if names else "as it was, since no cause was named"
+    kind = f"extended by {names}" if names else "as it was: nothing was found that extends it"
     return f"law ({kind}) saved to {path}"
 
 

@@ -139,6 +139,8 @@ def _finding_to_json(finding: Finding, percent: _Percent, joints: list[int]) -> 
         content["together_with"] = list(finding.together_with)
     if finding.term:
         content["term"] = finding.term
+    if form := getattr(finding.version, "form", ""):
+        content["form"] = form
     if finding.explains:
         content["explains"] = dict(finding.explains)
         content["explains_by_equation"] = dict(finding.explains_by_equation)

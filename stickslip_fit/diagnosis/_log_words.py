@@ -186,6 +186,9 @@ class LogWords(Words):
         cure = remedy_for(finding) if not finding.equivalent else ""
         law = "" if finding.cause == MISFIRE else "the extended law"
         gain = diagnosis.gain
+        if gain is not None and all(one.version is None for one in diagnosis.findings):  # the law as it was
+            held_out = f"held-out traverses are predicted to {format_percent(gain.extended)} rms"
+            return f"Remedy: {cure}; {held_out}; {scatter}."
         if gain is None:
             cut = f"takes away errors of {format_percent(finding.effect.estimate)} rms"
         else:
@@ -194,7 +197,7 @@ class LogWords(Words):
         what = f"Remedy: {choices}, which" if cure else capitalize_first(law)
         following = ""
         if finding.equivalent and diagnosis.next_experiment:
-            following = " The traverses that would separate them are below."
+            following = " The full answer lists the traverses that would separate them."
         elif finding.equivalent and knows_calibration(diagnosis):
             following = " No candidate traverse would separate them."
         elif finding.equivalent:

@@ -32,6 +32,7 @@ from stickslip_fit.diagnosis._stage_summary import stage_sections
 from stickslip_fit.diagnosis._table_words import TableWords
 from stickslip_fit.diagnosis._unknown_summary import explains_tables, name_findings
 from stickslip_fit.diagnosis._words import Words, baseline_name, describe_proposals
+from stickslip_fit.diagnosis.cross_validation import MIN_SESSIONS
 from stickslip_fit.diagnosis.experiments import find_inseparable_pairs
 from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, Finding, Gain, NextTraverse, TableInfo, shown_size
 from stickslip_fit.diagnosis.misfit import UNKNOWN
@@ -240,7 +241,24 @@ def _gain_tables(diagnosis: Diagnosis, words: Words) -> list[Table]:
             " Noise that persists hides in such an error what is smaller than its slow part: a finding is "
             "judged by the error of each row given those of the rows before it that were held out with it."
         )
+    note += _tell_joints_of_new_session(diagnosis)
     return [Table("What the extended law gains", columns, tuple(rows), note=note)]
+
+
+def _tell_joints_of_new_session(diagnosis: Diagnosis) -> str:
+    """Which joints no session can be calibrated for, as a sentence with a space before it; else empty."""
+    gain, rows = diagnosis.gain_new_session, diagnosis.selection.problem.rows
+    if diagnosis.log is None or rows["session"].nunique() < MIN_SESSIONS:
+        return ""
+    known = set() if gain is None else set(gain.by_joint["joint"])
+    missing = [str(joint) for joint in sorted(set(rows["joint"]) - known)]
+    if not missing:
+        return ""
+    joints = f"{'joint' if len(missing) == 1 else 'joints'} {join_words(missing)}"
+    return (
+        f" A new session is not predicted for {joints}: no session has the traverses there by which its law "
+        "is calibrated."
+    )
 
 
 def _gain_cells(gain: Gain, words: Words) -> tuple[str, ...]:

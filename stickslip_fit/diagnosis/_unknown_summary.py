@@ -375,6 +375,8 @@ def describe_test(finding: Finding, diagnosis: Diagnosis) -> str:
         )
     if getattr(finding.version, "common", 0.0):
         gain = diagnosis.gain_new_session
+        if gain is not None and gain.high < 0.0:  # which the answer begins with
+            return "It predicts within its session only."
         if gain is not None and gain.extended >= gain.baseline:
             before, after = format_percent(gain.baseline), format_percent(gain.extended)
             worse = "no better" if before == after else f"worse, with errors of {after} in place of {before}"

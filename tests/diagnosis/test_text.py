@@ -10,8 +10,8 @@ import pytest
 
 from stickslip_fit.causes import PayloadChange, SessionJump, SizedParameter, covariates, library
 from stickslip_fit.diagnosis import Finding, Gain, NextTraverse, diagnose
-from stickslip_fit.diagnosis._log_words import describe_effect, remedy_for
-from stickslip_fit.diagnosis._summary import _parameter_tables, write_headline
+from stickslip_fit.diagnosis._log_words import LogWords, describe_effect, remedy_for
+from stickslip_fit.diagnosis._summary import _gain_tables, _parameter_tables, write_headline
 from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.units import Interval
 from tests.diagnosis.conftest import ALPHA, REPEATABILITY, changed, hours_in
@@ -111,6 +111,24 @@ def test_that_a_new_session_is_predicted_worse_is_said_first(named):
     assert told(replace(named, gain_new_session=unsure)).startswith("Steps shrink by ")
 
 
+def test_joints_for_which_no_new_session_is_predicted_are_told(named, monkeypatch):
+    """A gain of nothing there would be read as that of the cause."""
+    joints = sorted(named.selection.problem.rows["joint"].unique())
+    by_joint = pd.DataFrame({"joint": joints[-1:], "direction": "+"})
+
+    def note(by_joint):
+        gain = None if by_joint is None else replace(GAIN, by_joint=by_joint)
+        tables = _gain_tables(replace(named, gain=GAIN, gain_new_session=gain), LogWords(named))
+        return tables[0].note
+
+    assert len(joints) > 1
+    assert "is not predicted" not in note(None)  # two sessions, where one is not held out
+    monkeypatch.setattr("stickslip_fit.diagnosis._summary.MIN_SESSIONS", 2)
+    assert f"A new session is not predicted for joint {joints[0]}: " in note(by_joint)
+    assert f"not predicted for joints {' and '.join(map(str, joints))}: " in note(None)
+    assert "is not predicted" not in note(pd.DataFrame({"joint": joints, "direction": "+"}))
+
+
 def test_a_law_that_predicts_no_better_is_not_said_to_cut_the_error(named):
     alike = replace(GAIN, baseline=0.0220, extended=0.0217, low=-0.0018, high=0.0035)
     assert "the extended law, which predicts held-out traverses no better, to 2.2 % rms; " in told(
@@ -179,7 +197,7 @@ def test_what_cannot_be_told_apart_is_named_together(named):
         "after 5 h",
     )
     text = str(replace(unsure, next_experiment=(traverse,)))
-    assert "The traverses that would separate them" in " ".join(text.split())
+    assert "lists the traverses that would separate them" in " ".join(text.split())
     assert re.search(r"3 − +4 +0° +0° +– +0° +0° +stop +stop +after 5 h", text)
     assert "No traverse within reach" not in text
 
