@@ -118,7 +118,10 @@ def show_time(parameters: Sequence[SizedParameter], name: str, unit: str) -> tup
 
 @dataclass(frozen=True)
 class SizesApart:
-    """A parameter that each direction or joint has for itself; it is formatted like one, one by one."""
+    """A parameter that each direction or joint has for itself; it is formatted like one, one by one.
+
+    Where some are above 0 and others below, they have signs, and what would grow or shrink changes.
+    """
 
     sizes: tuple[SizedParameter, ...]
 
@@ -136,7 +139,10 @@ class SizesApart:
         return SizesApart(tuple(one.plus(share) for one in self.sizes))
 
     def __format__(self, form: str) -> str:
-        texts = [f"{one:{form}}" for one in self.sizes]
+        differ = len({one.size.estimate > 0 for one in self.sizes}) > 1
+        if form == "grow|shrink" and differ:
+            return "change"
+        texts = [f"{one:{form or '+' * differ}}" for one in self.sizes]
         if "|" in form and len(set(texts)) == 1:
             return texts[0]
         where = [

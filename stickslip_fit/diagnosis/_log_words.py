@@ -92,7 +92,7 @@ class LogWords(Words):
         diagnosis = self.diagnosis
         is_less = diagnosis.misfit < diagnosis.repeatability
         is_less &= format_percent(diagnosis.misfit) != format_percent(diagnosis.repeatability)
-        absorbed = ", of which the fit takes up a part" * is_less
+        absorbed = ", a part of which the fit takes up" * is_less
         text = (
             f"Nothing is wrong that this log can show: the {baseline_name(diagnosis)} leaves "
             f"{format_percent(diagnosis.misfit)} rms, and {describe_scatter(diagnosis)}{absorbed} "

@@ -8,7 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip_fit.causes import PayloadChange, SessionJump, SizedParameter, covariates, library
+from stickslip_fit.causes import (
+    GuideGradient,
+    PayloadChange,
+    SessionJump,
+    SizedParameter,
+    covariates,
+    library,
+)
 from stickslip_fit.diagnosis import Finding, Gain, NextTraverse, diagnose
 from stickslip_fit.diagnosis._log_words import LogWords, describe_effect, remedy_for
 from stickslip_fit.diagnosis._summary import _gain_tables, _parameter_tables, write_headline
@@ -17,6 +24,7 @@ from stickslip_fit.units import Interval
 from tests.diagnosis.conftest import ALPHA, REPEATABILITY, changed, hours_in
 
 WIDTH = 110
+SLOPES = ((-4.0, "+"), (1.8, "-"))  # 1/m
 BY_SESSION = pd.DataFrame({"session": ["a"], "baseline": [0.02], "extended": [0.004], "traverses": [9]})
 GAIN = Gain(0.0186, 0.0041, 0.0029, 0.013, 0.0155, BY_SESSION)
 
@@ -328,6 +336,17 @@ def test_every_cause_of_the_library_has_a_sentence_of_its_own(cause):
 def test_the_direction_of_an_effect_is_said_right(name, size, words):
     (cause,) = (each for each in library() if each.name == name)
     assert words in describe_effect(finding_of(cause, size))
+
+
+def test_what_grows_in_one_direction_and_shrinks_in_the_other_changes():
+    version = GuideGradient(by_direction=True)
+    sizes = [SizedParameter("k", "%/mm", Interval(k, k - 1e-3, k + 1e-3), direction=way) for k, way in SLOPES]
+    said = version.describe(sizes)
+    assert "steps change by" in said
+    assert re.search(r"−\S+ %/mm \(\+\) and 0\.18\S* %/mm \(−\)", said)
+    alike = version.describe([replace(one, size=sizes[1].size) for one in sizes])
+    assert "steps grow by" in alike
+    assert "change" not in alike
 
 
 @pytest.mark.parametrize("version", [SessionJump(session="Tuesday"), PayloadChange(session="Tuesday")])
