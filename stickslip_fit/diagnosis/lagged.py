@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.causes.late_columns import find_late, low_pass, name_late
+from stickslip_fit.causes.late_columns import find_late, low_pass, name_late, parse_late
 from stickslip_fit.diagnosis.autocorrelation import Autocorrelation
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.mean_structure import Mean, most_explained
@@ -88,43 +89,45 @@ def find_late_columns(
     time_unit : str
         Of session_seconds.
     """
-    rows, found = linearized.rows, dict[str, tuple[str, float]]()
-    if sample is None:
-        sample = 2 * np.arange(len(linearized), dtype=np.intp)
+    rows, n = linearized.rows, len(linearized)
     spacing = rows.groupby("session")["session_seconds"].diff()
-    shortest, longest = (
-        MIN_SPACINGS * spacing[spacing > 0].median(),
-        MAX_RECORD * rows["session_seconds"].max(),
-    )
+    shortest = MIN_SPACINGS * float(spacing[spacing > 0].median())
+    longest = MAX_RECORD * float(rows["session_seconds"].max())
     if not (columns and shortest < longest):
         return {}
-    plain = Mean.of(linearized, np.zeros((len(linearized), 0)), sample)
-
-    def effect(values: Array) -> Array:
-        standard = (values - values.mean()) / (float(np.std(values)) or 1.0)
-        return linearized.project(linearized.whiten(standard[:, None]))
-
-    price = MIN_ADVANTAGE + float(np.log(len(columns) * N_LAGS))
-    lags = np.geomspace(shortest, longest, N_LAGS)
+    if sample is None:
+        sample = 2 * np.arange(n, dtype=np.intp)  # no two of them are neighbours
+    plain, independent = Mean.of(linearized, np.zeros((n, 0)), sample), Autocorrelation(sample, None)
+    lags, found = np.geomspace(shortest, longest, N_LAGS), dict[str, tuple[str, float]]()
     for column in columns:
-        values = rows[column].to_numpy(float)
-        least = max(plain.value, plain.extend(linearized, effect(values)).value) + price
-
-        def find_best(lags: Array, under: Autocorrelation, column: str = column) -> tuple[str, Mean]:
-            """Name of the column with the likeliest lag, and the mean with it."""
-            names = [name_late(column, lag, time_unit) for lag in lags.tolist()]
-            late = find_late(names, [column], time_unit)
-            effects = [effect(low_pass(rows, rows[of].to_numpy(float), lag)) for of, lag in late.values()]
-            best = most_explained(linearized, effects, plain.columns, under)
-            return [*late][best], plain.extend(linearized, effects[best])
-
-        tried = [find_best(lags, under) for under in (Autocorrelation(sample, None), plain.noise)]
-        name, beside = max(tried, key=lambda one: one[1].value)
-        if beside.value > least:
-            lag = find_late([name], [column], time_unit)[name][1]
-            finer = lag * (lags[1] / lags[0]) ** np.linspace(-1.0, 1.0, N_FINER)
-            found |= find_late([find_best(finer, beside.noise)[0]], [column], time_unit)
+        as_it_is = plain.extend(linearized, _linear_effect(linearized, rows[column].to_numpy(float)))
+        least = max(plain.value, as_it_is.value) + MIN_ADVANTAGE + float(np.log(len(columns) * N_LAGS))
+        search = partial(_find_lag, linearized, column, time_unit, plain)
+        name, beside = max(
+            (search(lags, independent), search(lags, plain.noise)), key=lambda one: one[1].value
+        )
+        if beside.value > least and (late := parse_late(name, time_unit)):
+            finer = late[1] * (lags[1] / lags[0]) ** np.linspace(-1.0, 1.0, N_FINER)
+            found |= find_late([search(finer, beside.noise)[0]], [column], time_unit)
     return found
+
+
+def _find_lag(
+    linearized: LinearizedFit, column: str, time_unit: str, plain: Mean, lags: Array, under: Autocorrelation
+) -> tuple[str, Mean]:
+    """Name of a column with that of some lags which explains most under some noise, and the mean with it."""
+    rows, names = linearized.rows, [name_late(column, lag, time_unit) for lag in lags.tolist()]
+    late = find_late(names, [column], time_unit)
+    values = rows[column].to_numpy(float)
+    effects = [_linear_effect(linearized, low_pass(rows, values, lag)) for _, lag in late.values()]
+    best = most_explained(linearized, effects, plain.columns, under)
+    return [*late][best], plain.extend(linearized, effects[best])
+
+
+def _linear_effect(linearized: LinearizedFit, values: Array) -> Array:
+    """Standardized values as the test of a signal sees them, shape (n, 1)."""
+    standard = (values - values.mean()) / (float(np.std(values)) or 1.0)
+    return linearized.project(linearized.whiten(standard[:, None]))
 
 
 def delay(rows: pd.DataFrame, values: Array, lag: float) -> Array:
