@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
+from scipy.special import pdtrc, stdtr, stdtrit
 
 from stickslip_fit._rows import unique_rows
 from stickslip_fit._typing import Array, BoolArray, IntArray
@@ -37,6 +37,9 @@ MIN_SCALE = 0.01  # of a robust fit, relative to the noise by least squares
 MIN_RELATIVE_SD = 0.3  # of a drive's noise, relative to that of all drives
 MAX_LOOKS = 4  # for gross errors that larger ones hide
 MAX_EXPECTED = 0.01  # rows of noise in the whole log that are as far off as one beside a certain gross error
+# Rows that may be gross errors together with others: the probability that noise gives so many that are as far
+# off as the least of them. It is small, as a tail is sensitive to the scale, which is estimated.
+MAX_SUSPECTED, MAX_TOGETHER = 0.1, 1e-5
 MAX_SHARE, MAX_ANYWAY = 0.05, 2  # of the rows; more are an effect, but for so few
 SHARED_DEPARTURE = 0.25  # of a row's departure; a neighbour with more has it too
 
@@ -85,15 +88,20 @@ def _find_largest(problem: DiagnosisProblem, level: float) -> Outliers:
         own = deviation if skewness is None else skewness.symmetrize(deviation)
         return 2.0 * len(problem) * stdtr(TAIL_DF, -np.abs(own))
 
-    rows = np.flatnonzero(count_expected(z / ratio) < MAX_EXPECTED)
+    rows = np.flatnonzero(count_expected(z / ratio) < MAX_SUSPECTED)
     rows = rows[~(_have_company(z, rows, problem) | find_runs(rows, problem.smooth_columns, z[:, None]))]
     # A robust fit with few rows for each parameter runs through most of them, and far from the others.
     expected = count_expected(_deviation_from_others(problem, parts, ratio, rows))
+    order = np.argsort(expected)
+    rows, expected = rows[order], expected[order]
     # Where one is certain, another as far off as noise hardly ever is, is likely.
-    rows, expected = rows[expected < MAX_EXPECTED], np.sort(expected)
-    if not np.any(expected < level) or len(rows) > max(MAX_SHARE * len(problem), MAX_ANYWAY):
+    found = int(np.sum(expected < MAX_EXPECTED)) if np.any(expected < level) else 0
+    together = pdtrc(np.arange(len(expected)), expected)
+    if len(together) and together.min() < MAX_TOGETHER:
+        found = max(found, int(np.argmin(together)) + 1)
+    if not 0 < found <= max(MAX_SHARE * len(problem), MAX_ANYWAY):
         return nothing
-    return Outliers(rows, float(expected[0]))
+    return Outliers(np.sort(rows[:found]), float(min(expected[0], together.min())))
 
 
 def _deviation_from_others(

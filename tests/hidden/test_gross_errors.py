@@ -1,6 +1,7 @@
 """Gross errors are gross errors: no cause is blamed for them, and no large effect is taken for them."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,6 +53,22 @@ def test_gross_errors_are_found_before_anything_is_searched(size, rate, seed):
     hidden, rows = make_gross(size, rate, seed)
     problem, _ = problem_from_log(read_hidden(hidden), ())
     assert set(find_gross_errors(problem, LEVEL).rows) == set(rows)
+
+
+def test_several_that_no_noise_gives_together_are_found():
+    """Three of 160 to 174 counts, some 15 standard deviations off: noise with heavy tails might give one."""
+    found, others = 0, 0
+    for seed in range(8):
+        hidden, rng = hide("session", seed=seed, noise="gaussian"), np.random.default_rng(seed)
+        table = hidden.table.copy()
+        rows = rng.choice(len(table), 3, replace=False)
+        factor = 1 + 0.045 * rng.choice([-1, 1], 3)
+        table.loc[rows, "steps"] = (table.loc[rows, "steps"] * factor / 10).round().astype(int) * 10
+        problem, _ = problem_from_log(read_hidden(replace(hidden, table=table)), ())
+        errors = set(find_gross_errors(problem, LEVEL).rows)
+        found, others = found + (set(rows) <= errors), others + len(errors - set(rows))
+    assert found >= 6
+    assert others == 0
 
 
 def test_one_wild_count_among_heavy_tails_is_found():
