@@ -186,7 +186,7 @@ class LogWords(Words):
         cure = remedy_for(finding) if not finding.equivalent else ""
         law = "" if finding.cause == MISFIRE else "the extended law"
         gain = diagnosis.gain
-        if gain is not None and all(one.version is None for one in diagnosis.findings):  # the law as it was
+        if cure and gain is not None and all(one.version is None for one in diagnosis.findings):
             held_out = f"held-out traverses are predicted to {format_percent(gain.extended)} rms"
             return f"Remedy: {cure}; {held_out}; {scatter}."
         if gain is None:
