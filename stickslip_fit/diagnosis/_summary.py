@@ -250,7 +250,7 @@ def _tell_joints_of_new_session(diagnosis: Diagnosis) -> str:
     gain, rows = diagnosis.gain_new_session, diagnosis.selection.problem.rows
     if diagnosis.log is None or rows["session"].nunique() < MIN_SESSIONS:
         return ""
-    known = set() if gain is None else set(gain.by_joint["joint"])
+    known = set() if gain is None else set(gain.by_joint.get("joint", rows["joint"]))
     missing = [str(joint) for joint in sorted(set(rows["joint"]) - known)]
     if not missing:
         return ""
