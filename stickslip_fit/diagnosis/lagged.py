@@ -2,9 +2,9 @@
 
 No cause of a log has a lag; where what the causes and structure without a name explain together is what a
 column was some time before, that is told. The lag is a delay, or that of a body that follows its surroundings
-exponentially, which sees them through a low-pass filter with one time constant. Of a table with a time, a
-column that explains clearly more through such a filter, in the noise that is likeliest beside it, is searched
-as one more column (`causes.late_columns`).
+exponentially, which sees them through a low-pass filter with one time constant. Of a table with regular times,
+a column that explains clearly more through such a filter, in the noise that is likeliest beside it, is
+searched as one more column (`causes.late_columns`).
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def find_lagged_column(linearized: LinearizedFit, shape: Array) -> LaggedColumn 
 
 
 def find_late_columns(
-    linearized: LinearizedFit, columns: Sequence[str], sample: IntArray | None, time_unit: str
+    linearized: LinearizedFit, columns: Sequence[str], sample: IntArray, time_unit: str
 ) -> dict[str, tuple[str, float]]:
     """Columns of a table that explain clearly more with a lag, as of `late_columns.find_late`.
 
@@ -84,8 +84,8 @@ def find_late_columns(
         Of n rows, whose noise counts as independent.
     columns : sequence of str
         Of numbers; at most one lag of each is taken.
-    sample : array of int, shape (n,), or None
-        As of `Autocorrelation`; None of noise that is independent anyway.
+    sample : array of int, shape (n,)
+        As of `Autocorrelation`.
     time_unit : str
         Of session_seconds.
     """
@@ -95,8 +95,6 @@ def find_late_columns(
     longest = MAX_RECORD * float(rows["session_seconds"].max())
     if not (columns and shortest < longest):
         return {}
-    if sample is None:
-        sample = 2 * np.arange(n, dtype=np.intp)  # no two of them are neighbours
     plain, independent = Mean.of(linearized, np.zeros((n, 0)), sample), Autocorrelation(sample, None)
     lags, found = np.geomspace(shortest, longest, N_LAGS), dict[str, tuple[str, float]]()
     for column in columns:

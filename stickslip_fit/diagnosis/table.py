@@ -241,7 +241,7 @@ def problem_from_table(
     group = pd.factorize(rows[roles.group])[0].astype(np.intp) if roles.group else session
     seconds = rows["session_seconds"].to_numpy(float)
     sample = number_samples(seconds, session) if roles.time else None
-    if roles.time and generic_causes is None and repeatability > least_sd:
+    if sample is not None and generic_causes is None and repeatability > least_sd:
         scale = np.full(len(rows), repeatability)
         linearized = linearize_fit(RowTable(rows), (part,), y, scale, shared=bound.n_shared)
         numbers = [

@@ -74,6 +74,16 @@ def test_no_lag_is_searched_where_the_column_explains_as_much(lag, rise):
     assert not [name for name in found.selection.problem.rows if name.endswith("late")]
 
 
+@pytest.mark.slow
+def test_at_irregular_times_no_lag_is_searched():
+    """What persists there is structure, and no noise beside which a lag could be likely."""
+    frame = spectrometer(3, rise=0.0)
+    frame["t"] += np.random.default_rng(0).uniform(0.0, 55.0, len(frame)).round(1)
+    found = ssf.diagnose_table(frame, LAW, time="t", gain=False)
+    assert found.verdict == "nothing wrong"
+    assert not [name for name in found.selection.problem.rows if name.endswith("late")]
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("phi", [0.0, 0.9])
 def test_noise_that_persists_is_not_taken_for_a_late_column(phi):
