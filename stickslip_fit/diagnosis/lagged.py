@@ -2,9 +2,9 @@
 
 No cause of a log has a lag; where what the causes and structure without a name explain together is what a
 column was some time before, that is told. The lag is a delay, or that of a body that follows its surroundings
-exponentially, which sees them through a low-pass filter with one time constant. Of a table with regular times,
-a column that explains clearly more through such a filter, in the noise that is likeliest beside it, is
-searched as one more column (`causes.late_columns`).
+exponentially, which sees them through a low-pass filter with one time constant. Where a table's times are
+regular, a column that explains clearly more through such a filter, in the noise that is likeliest beside it,
+is searched as one more column (`causes.late_columns`).
 """
 
 from __future__ import annotations
