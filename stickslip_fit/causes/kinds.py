@@ -66,6 +66,10 @@ class TermCause(Cause):
         return rise / (2 * step), slopes
 
 
+def _joints_of(rows: pd.DataFrame) -> tuple[int, ...]:
+    return tuple(sorted({int(joint) for joint in rows["joint"]}))
+
+
 class FactorCause(Cause):
     """A cause that multiplies the step size."""
 
@@ -76,7 +80,7 @@ class FactorCause(Cause):
 
     def restricted(self, rows: pd.DataFrame) -> list[Cause]:
         """See `Cause.restricted`: each joint alone, and all with sizes of their own."""
-        joints = tuple(sorted({int(joint) for joint in rows["joint"]}))
+        joints = _joints_of(rows)
         if not self.may_differ_by_joint or len(joints) < 2:
             return []
         return [OfJoints(self, own) for own in (*((joint,) for joint in joints), joints)]
@@ -248,7 +252,7 @@ class OnSomeJoints(Cause):
 
     def restricted(self, rows: pd.DataFrame) -> list[Cause]:
         """See `Cause.restricted`: each joint alone."""
-        joints = sorted({int(joint) for joint in rows["joint"]})
+        joints = _joints_of(rows)
         return [] if self.on or len(joints) < 2 else [replace(self, on=(joint,)) for joint in joints]
 
     def describe(self, parameters: Sequence[SizedParameter]) -> str:

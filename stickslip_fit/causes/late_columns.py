@@ -55,10 +55,13 @@ def parse_late(name: str, time_unit: str) -> tuple[str, float] | None:
 
 
 def find_late(names: Iterable[str], known: Iterable[str], time_unit: str) -> dict[str, tuple[str, float]]:
-    """Those of some names that are of a known column, late, with that column and the time constant."""
+    """Those of some names that are of a column, late, with that column and the time constant.
+
+    What is a `known` column itself is none.
+    """
     known = set(known)
     parsed = {name: parse_late(name, time_unit) for name in names if name not in known}
-    return {name: late for name, late in parsed.items() if late is not None and late[0] in known}
+    return {name: late for name, late in parsed.items() if late is not None}
 
 
 def low_pass(rows: pd.DataFrame, values: Array, lag: float) -> Array:

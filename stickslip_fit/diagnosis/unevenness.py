@@ -253,11 +253,12 @@ def group_rows(
     n, known = len(linearized), linearized.table.once(_group_by_columns)
     groupings = {**known.of_sessions, "configuration": _make_grouping(configuration, known.joint)}
     groupings |= known.of_carriers
+    weighted = residuals.reweight(np.ones(n))
     if known.ends is not None:
-        local = _bin(_estimate_local_sds(known.ends, known.joint, residuals), known.joint)
+        local = _bin(_estimate_local_sds(known.ends, known.joint, weighted), known.joint)
         groupings[POSITION] = _make_grouping(local, known.joint)
     if known.in_order:
-        level = _rank_by_neighbours(linearized.rows["session"].to_numpy(object), residuals)
+        level = _rank_by_neighbours(linearized.rows["session"].to_numpy(object), weighted)
         groupings[STRETCH] = _make_grouping(level, np.zeros(n, dtype=np.intp))
     return {
         name: grouping
@@ -328,13 +329,13 @@ def _bin(values: Array, joint: npt.NDArray[np.integer]) -> npt.NDArray[np.intege
     return label + (N_BINS + 1) * joint
 
 
-def _rank_by_neighbours(session: Array, residuals: Residuals) -> IntArray:
+def _rank_by_neighbours(session: Array, weighted: WeightedResiduals) -> IntArray:
     """Group of each row by the noise of its neighbours in time, about as many rows in each; shape (n,).
 
     The larger of those before and after it in its session, by their median, so that a burst is seen to its
     ends. The row itself has no part in it: where the noise is the same, groups differ by chance only.
     """
-    size, n = np.abs(residuals.reweight(np.ones(len(residuals))).standardized), len(residuals)
+    size, n = np.abs(weighted.standardized), len(session)
     level = np.zeros(n)
     for label in pd.unique(session):
         own = np.flatnonzero(session == label)
@@ -345,13 +346,13 @@ def _rank_by_neighbours(session: Array, residuals: Residuals) -> IntArray:
     return rank * int(np.clip(n // ROWS_PER_LEVEL, 1, MAX_LEVELS)) // n
 
 
-def _estimate_local_sds(ends: Array, joint: npt.NDArray[np.integer], residuals: Residuals) -> Array:
+def _estimate_local_sds(ends: Array, joint: npt.NDArray[np.integer], weighted: WeightedResiduals) -> Array:
     """Standard deviation of each row, (n,): its variance averages local ones between its ends, (n, 2).
 
     The local ones are the likeliest under Student's t (the iteration is that of A. Fevotte, N. Bertin and
     J.-L. Durrieu, Neural Comput. 21:793, 2009), drawn towards 1 as by `PRIOR_ROWS` rows.
     """
-    weighted, sds, df = residuals.reweight(np.ones(len(residuals))), np.ones(len(residuals)), TAIL_DF[0]
+    sds, df = np.ones(len(joint)), TAIL_DF[0]
     for number in np.unique(joint):
         own = joint == number
         edges = np.linspace(ends[own].min(), ends[own].max(), N_STRETCHES + 1)

@@ -28,10 +28,8 @@ FEW, COARSE_DEG = 3, 5.0  # of fewer values each has to be a multiple of so many
 TURNS = (-2 * pi, 2 * pi)  # of the base
 TEMPERATURE = "temperature"
 KELVINS = UNITS["°C"].offset
-MAX_APART, MIN_OFF = (
-    8.0,
-    20.0,
-)  # K, of medians of sessions: in the unit that is suspected, and as they were read
+# Of medians of sessions, K: in the unit that is suspected, and as they were read.
+MAX_APART, MIN_OFF = 8.0, 20.0
 MANY, MIN_SPREAD = 5, 0.5  # values of a joint, and the share of its range that they cover, in radians
 
 
