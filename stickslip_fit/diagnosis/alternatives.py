@@ -19,13 +19,13 @@ from stickslip_fit.diagnosis.carriers import find_load, traverse_average
 from stickslip_fit.diagnosis.hypotheses import (
     Hypothesis,
     SessionFit,
-    build_per_session_hypotheses,
     make_hypothesis,
     split_sessions,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1, memory_alternatives
 from stickslip_fit.diagnosis.row_table import RowTable
+from stickslip_fit.diagnosis.session_stacks import build_per_session_hypotheses
 from stickslip_fit.diagnosis.smooth_alternatives import build_smooth_alternatives
 from stickslip_fit.logs.log import number_configurations
 from stickslip_fit.logs.schema import has_times

@@ -20,13 +20,13 @@ from scipy.sparse import csr_array
 from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array, BoolArray, IntArray
-from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, DirectionStack, Hypothesis, StackedBlocks
+from stickslip_fit.diagnosis.hypotheses import EFFECT_TOL, Hypothesis
 from stickslip_fit.diagnosis.memory import AR1, log_memory_evidence
+from stickslip_fit.diagnosis.session_stacks import Coupling, StackMembers, find_stacks
 
 STRENGTHS = np.array([4.0, 10.0, 25.0, 60.0])  # tau: hyperprior on the norm of an effect, whitened
 WIDE_STRENGTHS = np.geomspace(4.0, 40_000.0, 25)  # of a law's function
 MAX_EXPLAINED = 1.0 - 1e-12  # share of the squared residuals
-MIN_OF_STACK = 0.25  # of the hypotheses of a stack, from which all of it is multiplied at once
 AT_ONCE = 100  # directions whose rows are put in another order
 
 
@@ -141,9 +141,50 @@ class DirectionGroup:
             np.maximum(first, self.least, out=first)
 
 
+@dataclass(frozen=True, eq=False)
+class CoupledGroup:
+    """All directions of a stack whose sessions are coupled.
+
+    Attributes
+    ----------
+    sessions : tuple of DirectionGroup
+        The columns of each session; their coefficients are no directions'.
+    coupling : Coupling
+    place, index : array of int, shape (m,)
+        As of a `DirectionGroup`.
+    sign : array, shape (n,), or None
+        That of some hypotheses, if they have one.
+    """
+
+    sessions: tuple[DirectionGroup, ...]
+    coupling: Coupling
+    place: IntArray
+    index: IntArray
+    sign: npt.NDArray[Any] | None
+
+    @property
+    def n_coefficients(self) -> int:
+        """See `DirectionGroup.n_coefficients`."""
+        return sum(one.n_coefficients for one in self.sessions)
+
+    def coefficients(self, residuals: npt.NDArray[Any], out: npt.NDArray[Any]) -> None:
+        """See `DirectionGroup.coefficients`."""
+        signs = [None] if self.sign is None else [None, self.sign]
+        number, n_samples = len(self.coupling.weights), residuals.shape[1]
+        products = []
+        for session in self.sessions:
+            own = np.empty((session.n_coefficients, n_samples), residuals.dtype)
+            session.coefficients(residuals, own)
+            products.append(own.reshape(len(signs), number, -1, n_samples))
+        samples = [residuals if sign is None else residuals * sign[:, None] for sign in signs]
+        shared = np.stack([self.coupling.shared.T @ one for one in samples])
+        found = self.coupling.coefficients(np.concatenate(products, axis=2), shared)
+        out[:] = found.reshape(-1, n_samples)
+
+
 def group_directions(
     hypotheses: Sequence[Hypothesis], dtype: npt.DTypeLike = np.float64
-) -> tuple[DirectionGroup, ...]:
+) -> tuple[DirectionGroup | CoupledGroup, ...]:
     """The directions of hypotheses, those on the same rows together; sessions have no row in common."""
     firsts = np.cumsum([0, *(len(one.prior_share) for one in hypotheses)])
     stacked, others = find_stacks(hypotheses)
@@ -151,88 +192,38 @@ def group_directions(
     return (*of_stacks, *_group_blocks([hypotheses[k] for k in others], firsts[others], dtype))
 
 
-@dataclass(frozen=True, eq=False)
-class StackMembers:
-    """Some of the hypotheses of a stack.
-
-    Attributes
-    ----------
-    stack : DirectionStack
-    numbers, places : array of int, shape (h,)
-        Their positions among all hypotheses, and in the stack.
-    sign : array, shape (n,), or None
-        That of those which have one.
-    is_signed : array of bool, shape (h,)
-    """
-
-    stack: DirectionStack
-    numbers: IntArray
-    places: IntArray
-    sign: Array | None
-    is_signed: BoolArray
-
-    @classmethod
-    def of(cls, stack: DirectionStack, hypotheses: Sequence[Hypothesis], numbers: IntArray) -> StackMembers:
-        """Those at some positions among all hypotheses."""
-        own = [hypotheses[k] for k in numbers]
-        places = [one.blocks.place for one in own if isinstance(one.blocks, StackedBlocks)]
-        sign = next((one.sign for one in own if one.sign is not None), None)
-        is_signed = np.array([one.sign is not None for one in own])
-        return cls(stack, numbers, np.array(places, dtype=np.intp), sign, is_signed)
-
-    def coefficients(self, residuals: Array) -> Array:
-        """Along their directions, (n, k) -> (h, m, k)."""
-        if self.sign is None:
-            return self.stack.coefficients(residuals)[self.places]
-        found = np.empty((len(self.places), self.stack.width, residuals.shape[1]))
-        for is_signed, own in ((False, residuals), (True, self.sign[:, None] * residuals)):
-            some = self.is_signed == is_signed
-            if some.any():
-                found[some] = self.stack.coefficients(own)[self.places[some]]
-        return found
-
-
-def find_stacks(hypotheses: Sequence[Hypothesis]) -> tuple[list[StackMembers], IntArray]:
-    """The stacks of which many of some hypotheses are, and the positions of all others."""
-    stacks: dict[int, DirectionStack] = {}
-    numbers: dict[int, list[int]] = {}
-    others: list[int] = []
-    for number, one in enumerate(hypotheses):
-        if isinstance(one.blocks, StackedBlocks) and not one.one_sided:
-            stacks[id(one.blocks.stack)] = one.blocks.stack
-            numbers.setdefault(id(one.blocks.stack), []).append(number)
-        else:
-            others.append(number)
-    few = [key for key, stack in stacks.items() if len(numbers[key]) < MIN_OF_STACK * len(stack)]
-    others += [number for key in few for number in numbers[key]]
-    found = [
-        StackMembers.of(stack, hypotheses, np.array(numbers[key], dtype=np.intp))
-        for key, stack in stacks.items()
-        if key not in few
-    ]
-    return found, np.array(sorted(others), dtype=np.intp)
-
-
-def _group_stack(members: StackMembers, first: IntArray, dtype: npt.DTypeLike) -> Iterator[DirectionGroup]:
+def _group_stack(
+    members: StackMembers, first: IntArray, dtype: npt.DTypeLike
+) -> Iterator[DirectionGroup | CoupledGroup]:
     """The directions of a stack, session by session; `first`, (h,), are the coefficients they begin with."""
-    for rows, own in zip(members.stack.rows, members.stack.directions, strict=True):
+    sessions, coupling = [], members.stack.coupling
+    for rows, own in zip(members.stack.rows, members.stack.columns, strict=True):
         (number, width, n_rows), n_positive = own.shape, None
         directions = own.reshape(-1, n_rows)
         if members.sign is not None:
             order = np.argsort(-members.sign[rows], kind="stable")
             n_positive, directions = int(np.sum(members.sign[rows] > 0)), directions[:, order]
             rows = np.arange(len(members.sign))[rows][order]
-        inside = np.arange(width)
-        begin = width * (members.places + number * members.is_signed)
-        yield DirectionGroup(
-            rows,
-            directions.astype(dtype),
-            (first[:, None] + inside).ravel(),
-            (begin[:, None] + inside).ravel(),
-            np.full((len(directions), 1), -np.inf, dtype),
-            n_positive,
-        )
+        place, index = _number_directions(members, first, number, width)
+        least = np.full((len(directions), 1), -np.inf, dtype)
+        sessions.append(DirectionGroup(rows, directions.astype(dtype), place, index, least, n_positive))
         first = first + width
+    if coupling is None:
+        yield from sessions
+        return
+    width = members.stack.width
+    place, index = _number_directions(members, first - width, len(members.stack), width)
+    sign = None if members.sign is None else members.sign.astype(dtype)
+    yield CoupledGroup(tuple(sessions), coupling.astype(dtype), place, index, sign)
+
+
+def _number_directions(
+    members: StackMembers, first: IntArray, number: int, width: int
+) -> tuple[IntArray, IntArray]:
+    """Place and index, as of a `DirectionGroup`, of so many directions of each of a stack's hypotheses."""
+    inside = np.arange(width)
+    begin = width * (members.places + number * members.is_signed)
+    return (first[:, None] + inside).ravel(), (begin[:, None] + inside).ravel()
 
 
 def _group_blocks(
@@ -306,7 +297,7 @@ class HypothesisBatch:
 
     def log_evidence(self, residuals: Array) -> Array:
         """Log Bayes factor of each hypothesis against noise alone; (n, k) -> (H, k)."""
-        along = self._coefficients(residuals)
+        along = self.coefficients(residuals)
         explained_share = self._explained_share(np.arange(len(along)), len(along))
         at_each = self._at_each_strength(explained_share @ along**2, np.sum(residuals**2, axis=0))
         subspaces = logsumexp(at_each, axis=1) - np.log(len(STRENGTHS))
@@ -343,7 +334,7 @@ class HypothesisBatch:
         """Number of coefficients of a sample, those with a sign besides."""
         return int(self._grouped[1].shape[1])
 
-    def _coefficients(self, residuals: Array) -> Array:
+    def coefficients(self, residuals: Array) -> Array:
         """Along each direction, one hypothesis after the other, (n, k) -> (m, k)."""
         sizes = self._signal[1]
         firsts, found = np.cumsum(sizes) - sizes, np.empty((int(sizes.sum()), residuals.shape[1]))
@@ -367,7 +358,7 @@ class HypothesisBatch:
         return found
 
     @cached_property
-    def _grouped(self) -> tuple[tuple[DirectionGroup, ...], csr_array]:
+    def _grouped(self) -> tuple[tuple[DirectionGroup | CoupledGroup, ...], csr_array]:
         """Directions in single precision, one matrix product for each session, and what is explained."""
         groups = group_directions(self.subspaces, np.float32)
         first = np.cumsum([0, *(group.n_coefficients for group in groups)])

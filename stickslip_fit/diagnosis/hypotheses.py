@@ -13,21 +13,19 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 from scipy.sparse import csr_array
 
-from stickslip_fit._linalg import eigh
 from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.linearized import LawBlock, LinearizedFit, select_filter, split_positions, whiten
 
 VARIANCE_TOL = 1e-6  # share of a hypothesis's variance below which a direction is left out
 EFFECT_TOL = 1e-6  # whitened norm; rounding noise of the projection
 ABSORBED = 2.0 * EFFECT_TOL  # whitened; a trial without a hypothesis and with a larger effect has failed
-MAX_COUPLED_SESSIONS = 6  # with more, one has too little of a shared parameter to matter
 SPARSE = 0.75  # share of rows with an effect, below which products leave out the others
 MAX_EFFECT = 1e100  # whitened; the squares of larger ones are no numbers
 MAX_MISSING = 3  # samples in a row, as where a value is set aside, before noise that persists is lost
@@ -36,64 +34,6 @@ SHRINK_FACTOR = 20.0  # on the size of a trial by which a joint would stall
 
 type Block = tuple[IntArray | slice, Array]
 """Directions, shape (s, m), and the rows outside of which they are zero."""
-
-
-@dataclass(frozen=True, eq=False)
-class DirectionStack:
-    """The directions of P hypotheses that have equally many of them in the same rows, session by session.
-
-    Attributes
-    ----------
-    rows : tuple of array of int, shape (s,), or slice
-        Of each session.
-    directions : tuple of array, shape (P, m, s)
-        Of each session.
-    """
-
-    rows: tuple[IntArray | slice, ...]
-    directions: tuple[Array, ...]
-
-    def __len__(self) -> int:
-        return len(self.directions[0])
-
-    @property
-    def width(self) -> int:
-        """Number of directions of each hypothesis."""
-        return sum(own.shape[1] for own in self.directions)
-
-    def coefficients(self, residuals: Array) -> Array:
-        """Along each direction, (n, k) -> (P, m, k)."""
-        found, first = np.empty((len(self), self.width, residuals.shape[1])), 0
-        for rows, own in zip(self.rows, self.directions, strict=True):
-            last = first + own.shape[1]
-            along = own.reshape(-1, own.shape[2]) @ residuals[rows]
-            found[:, first:last] = along.reshape(len(own), own.shape[1], -1)
-            first = last
-        return found
-
-
-@dataclass(frozen=True, eq=False)
-class StackedBlocks(Sequence[Block]):
-    """The blocks of one hypothesis of a stack, each made when it is asked for.
-
-    Thousands of waves with functions of dozens of sessions have a hundred thousand of them.
-    """
-
-    stack: DirectionStack
-    place: int
-
-    def __len__(self) -> int:
-        return len(self.stack.rows)
-
-    @overload
-    def __getitem__(self, index: int) -> Block: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Block]: ...
-    def __getitem__(self, index: int | slice) -> Block | Sequence[Block]:
-        """The block of a session."""
-        if isinstance(index, slice):
-            return tuple(self)[index]
-        return self.stack.rows[index], self.stack.directions[index][self.place].T
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,78 +292,6 @@ def build_session_hypotheses(
         )
         for k in np.flatnonzero(lengths > EFFECT_TOL)
     ]
-
-
-def build_per_session_hypotheses(
-    names: Sequence[str],
-    n: int,
-    sessions: Sequence[SessionFit],
-    effects: Array,
-    versions: Sequence[Any] | None = None,
-) -> list[Hypothesis]:
-    """A hypothesis of each name and version, with independent coefficients in every session.
-
-    `n` is the number of rows; `effects`, shape (n, number of names, w), are whitened.
-    """
-    if not names:
-        return []
-    versions = [None] * len(names) if versions is None else versions
-    shared = sessions[0].shared
-    if shared is not None and 1 < len(sessions) <= MAX_COUPLED_SESSIONS:
-        parts, shared = [_couple_sessions(n, sessions, effects)], None
-    else:
-        parts = [(session.rows, _project_in_session(session, effects)) for session in sessions]
-    directions, variances = [], []
-    for rows, own in parts:
-        products = own @ own.transpose(0, 2, 1)
-        if shared is not None:
-            along = own @ shared[rows]
-            products -= along @ along.transpose(0, 2, 1)
-        try:
-            variance, right = eigh(products)
-        except np.linalg.LinAlgError:  # of one of them: all are left out
-            return []
-        scaled = right / np.sqrt(np.maximum(variance, EFFECT_TOL**2))[:, None, :]
-        directions.append(scaled.transpose(0, 2, 1) @ own)
-        variances.append(np.maximum(variance, 0.0))
-    variance = np.stack(variances, axis=1)
-    total = variance.sum(axis=(1, 2))
-    kept = variance > VARIANCE_TOL * total[:, None, None]
-    stack = DirectionStack(tuple(rows for rows, _ in parts), tuple(directions))
-    whole, hypotheses = kept.all(axis=(1, 2)), []
-    for k in np.flatnonzero(total >= EFFECT_TOL**2).tolist():
-        blocks: Sequence[Block] = StackedBlocks(stack, k)
-        if not whole[k]:
-            blocks = tuple(
-                (rows, own[:, inside]) for (rows, own), inside in zip(blocks, kept[k], strict=True)
-            )
-        share, length = variance[k][kept[k]] / total[k], float(np.sqrt(total[k]))
-        hypotheses.append(Hypothesis(names[k], versions[k], None, n, blocks, share, length, shared=shared))
-    return hypotheses
-
-
-def _project_in_session(session: SessionFit, effects: Array) -> Array:
-    """What a session's own calibration leaves of effects, (n, number of names, w), there; (names, w, s)."""
-    columns = session.project(effects[session.rows].reshape(len(session), -1))
-    return np.ascontiguousarray(columns.T).reshape(*effects.shape[1:], len(session))
-
-
-def _couple_sessions(
-    n: int, sessions: Sequence[SessionFit], effects: Array
-) -> tuple[IntArray | slice, Array]:
-    """Effects of all sessions, with what these share projected out of all of them together.
-
-    Session by session, what one loses to a shared parameter would count in the others.
-    """
-    shared, (number, width) = sessions[0].shared, effects.shape[1:]
-    assert shared is not None
-    own = np.zeros((number, len(sessions), width, n))
-    for place, session in enumerate(sessions):
-        own[:, place, :, session.rows] = _project_in_session(session, effects).transpose(2, 0, 1)
-    columns = own.reshape(-1, n)
-    columns -= (columns @ shared) @ shared.T
-    rows = find_rows(columns.T)
-    return rows, columns[:, rows].reshape(number, len(sessions) * width, -1)
 
 
 def compute_effects(linearized: LinearizedFit | SessionFit, version: Any, trials: Array) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from stickslip_fit._typing import Array
-from stickslip_fit.diagnosis.evidence import group_directions
+from stickslip_fit.diagnosis.evidence import batch_hypotheses
 from stickslip_fit.diagnosis.extension import assess_residuals
 from stickslip_fit.diagnosis.hypotheses import (
     Hypothesis,
@@ -58,7 +58,7 @@ def compute_cosines(ones: Sequence[Hypothesis | AR1], others: Sequence[Hypothesi
         for side in (ones, others)
     ]
     products = _multiply_directions(
-        *([one.apply_sign() for one in side if isinstance(one, Hypothesis)] for side in (ones, others))
+        *([one for one in side if isinstance(one, Hypothesis)] for side in (ones, others))
     )
     rows, columns = (np.cumsum(size) - size for size in sizes)
     cosines = np.zeros((len(ones), len(others)))
@@ -74,32 +74,12 @@ def compute_cosines(ones: Sequence[Hypothesis | AR1], others: Sequence[Hypothesi
 
 def _multiply_directions(ones: Sequence[Hypothesis], others: Sequence[Hypothesis]) -> Array:
     """Inner products of all directions, shape (directions of ones, of others)."""
-    products = np.zeros([sum(len(one.prior_share) for one in side) for side in (ones, others)])
-    if not products.size:
-        return products
-    n, groups = ones[0].n, group_directions(ones)
-    for other in group_directions(others):
-        place = np.full(n, -1)
-        place[other.rows] = np.arange(other.directions.shape[1])
-        for own in groups:
-            at = place[own.rows]
-            if not (both := at >= 0).any():
-                continue
-            inner = own.directions[:, both] @ other.directions[:, at[both]].T
-            products[np.ix_(own.place, other.place)] = inner[np.ix_(own.index, other.index)]
-    shared = next((one.shared for one in (*ones, *others) if one.shared is not None), None)
-    if shared is not None:
-        products -= _overlap(ones, shared.shape[1]).T @ _overlap(others, shared.shape[1])
-    return products
-
-
-def _overlap(hypotheses: Sequence[Hypothesis], k: int) -> Array:
-    """Inner products of what the whole calibration shares with all directions, shape (k, directions)."""
-    each = [
-        np.zeros((k, len(one.prior_share))) if one.shared is None else one.shared_overlap
-        for one in hypotheses
-    ]
-    return np.concatenate(each, axis=1)
+    few, many = sorted((ones, others), key=lambda side: sum(len(one.prior_share) for one in side))
+    if not few:
+        return np.zeros([sum(len(one.prior_share) for one in side) for side in (ones, others)])
+    batch = batch_hypotheses([replace(one, one_sided=False) for one in many], 1)
+    products = batch.coefficients(np.concatenate([one.directions for one in few], axis=1))
+    return products if many is ones else products.T
 
 
 def confusion_rate(strength: float, cosine: float) -> float:

@@ -38,12 +38,12 @@ from stickslip_fit.diagnosis.carrier_functions import (
 from stickslip_fit.diagnosis.carriers import LENGTHS, find_carriers
 from stickslip_fit.diagnosis.hypotheses import (
     EFFECT_TOL,
-    MAX_COUPLED_SESSIONS,
     Hypothesis,
     find_rows,
     make_hypothesis,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.session_stacks import MAX_COUPLED_SESSIONS
 
 MIN_SHARE = 1e-3  # of the square of an effect that calibration leaves, below which it is left out
 MIN_VARIANCE = 1e-3  # of a hypothesis, below which a direction is left out

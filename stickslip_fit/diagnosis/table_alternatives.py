@@ -41,12 +41,12 @@ from stickslip_fit.diagnosis.expressions import Dictionary
 from stickslip_fit.diagnosis.hypotheses import (
     EFFECT_TOL,
     Hypothesis,
-    build_per_session_hypotheses,
     make_hypothesis,
     split_sessions,
 )
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.memory import AR1, AR1_COEFFICIENTS, Sequences
+from stickslip_fit.diagnosis.session_stacks import build_per_session_hypotheses
 from stickslip_fit.logs.fading import previous_rows
 
 PAIR_LENGTH, MAX_PAIR_COLUMNS = 0.4, 7  # correlation length of a function of two columns; columns

@@ -16,8 +16,9 @@ from stickslip_fit._typing import Array
 from stickslip_fit.causes.proposed import SMOOTH_SCALE, SmoothTerm
 from stickslip_fit.causes.smooth import cosines
 from stickslip_fit.diagnosis.evidence import find_strength
-from stickslip_fit.diagnosis.hypotheses import Hypothesis, build_per_session_hypotheses, split_sessions
+from stickslip_fit.diagnosis.hypotheses import Hypothesis, split_sessions
 from stickslip_fit.diagnosis.linearized import LinearizedFit
+from stickslip_fit.diagnosis.session_stacks import build_per_session_hypotheses
 from stickslip_fit.logs.schema import has_times
 
 # Correlation lengths, of the longest session.

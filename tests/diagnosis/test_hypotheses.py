@@ -17,7 +17,7 @@ from stickslip_fit.diagnosis.extension import (
     extend_problem,
     make_selected,
 )
-from stickslip_fit.diagnosis.hypotheses import Hypothesis, StackedBlocks
+from stickslip_fit.diagnosis.hypotheses import Hypothesis
 from stickslip_fit.diagnosis.misfit import (
     UNKNOWN,
     UNKNOWN_WEIGHT,
@@ -27,6 +27,7 @@ from stickslip_fit.diagnosis.misfit import (
     weigh_hypotheses,
 )
 from stickslip_fit.diagnosis.problem import problem_from_log
+from stickslip_fit.diagnosis.session_stacks import StackedBlocks
 from tests.hidden.generate import hide
 from tests.hidden.reading import drop_lab_columns, read_hidden
 
@@ -92,14 +93,30 @@ def test_directions_have_length_1_and_none_is_of_the_calibration(design):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", [1, 7])
-def test_the_evidence_of_many_waves_at_once_is_that_of_each(part):
-    """Alike and opposite by direction, of each session; all of them, and a few of each stack."""
-    rng, problem = np.random.default_rng(0), problem_from_log(read_hidden(hide("many", seed=3)))[0]
+@pytest.mark.parametrize("shared", ["nothing", "a slope", "a slope forwards"])
+def test_the_evidence_of_many_waves_at_once_is_that_of_each(part, shared):
+    """Alike and opposite by direction, of each session; all of them, and a few of each stack.
+
+    Also of sessions that share a parameter, to which all directions have to be orthogonal; one of a single
+    direction leaves those of opposite sign as large as they are.
+    """
+    rng = np.random.default_rng(0)
+    problem = problem_from_log(read_hidden(hide("many" if shared == "nothing" else "thesis", seed=3)))[0]
     linearized = problem.linearize()
+    if shared != "nothing":
+        slope = rng.standard_normal((len(linearized), 1))
+        slope[linearized.direction_sign < 0] *= shared == "a slope"
+        linearized = linearized.absorb(slope)
     every = [one for one in problem.alternatives(linearized) if isinstance(one, Hypothesis)]
     waves = [one for one in every if isinstance(one.blocks, StackedBlocks)][::part]
-    assert {one.sign is None for one in waves} == {True, False}
-    assert max(len(one.blocks) for one in waves) > 2
+    assert {one.sign is None for one in waves} == ({True} if shared == "a slope" else {True, False})
+    if shared == "nothing":
+        assert max(len(one.blocks) for one in waves) > 2
+    else:
+        assert all(one.blocks.stack.coupling is not None for one in waves)
+        for one in waves[::20]:
+            assert np.abs(linearized.shared.T @ one.directions).max() < 1e-9
+            assert one.directions.T @ one.directions == pytest.approx(np.eye(len(one.prior_share)), abs=1e-6)
     residuals = linearized.project(rng.standard_normal((len(linearized), 3)))
     batch, weight = batch_hypotheses(waves, linearized.df), rng.standard_normal(len(waves))
     evidence = batch.log_evidence(residuals)

@@ -18,12 +18,13 @@ from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.extension import compute_evidence, make_selected
 from stickslip_fit.diagnosis.fold_selection import log_likelihood_change, prepare_looks
 from stickslip_fit.diagnosis.gain import hold_out_configurations, select_in_fold
-from stickslip_fit.diagnosis.hypotheses import build_per_session_hypotheses, make_hypothesis, split_sessions
+from stickslip_fit.diagnosis.hypotheses import make_hypothesis, split_sessions
 from stickslip_fit.diagnosis.leave_out import LeftOut, Look
 from stickslip_fit.diagnosis.memory import AR1, Sequences
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.problem import problem_from_log
 from stickslip_fit.diagnosis.selection import select_causes
+from stickslip_fit.diagnosis.session_stacks import build_per_session_hypotheses
 from stickslip_fit.logs.fading import previous_rows
 from tests.hidden.generate import hide
 from tests.hidden.reading import read_hidden

@@ -9,7 +9,6 @@ from scipy.stats import chi2
 
 from stickslip_fit.diagnosis.evidence import batch_hypotheses
 from stickslip_fit.diagnosis.hypotheses import (
-    build_per_session_hypotheses,
     build_session_hypotheses,
     compute_changes,
     make_hypothesis,
@@ -26,6 +25,7 @@ from stickslip_fit.diagnosis.misfit import (
 from stickslip_fit.diagnosis.noise import estimate_noise, find_outliers, shrink_variances
 from stickslip_fit.diagnosis.row_table import RowTable
 from stickslip_fit.diagnosis.separability import compute_cosines
+from stickslip_fit.diagnosis.session_stacks import build_per_session_hypotheses
 from stickslip_fit.diagnosis.unknown_size import estimate_ar1_effect
 from stickslip_fit.laws import Prismatic
 
