@@ -178,14 +178,21 @@ def find_in_part(
     if problem.autocorrelation is not None or not versions:
         return Search(None)
     test = add_candidates(misfit, searched, compute_finite_effects(searched, versions))
-    evidence = test.log_evidence_by_cause
-    names = dict.fromkeys(one.name for one in versions)
-    best = max(names, key=lambda name: evidence.get(name, -np.inf))
-    behind = (
-        misfit.log_evidence_by_cause.get(likeliest, -np.inf) + PAIR_LOG_PENALTY - evidence.get(best, -np.inf)
-    )
-    if behind > 0 or not getattr(test.best_hypothesis(best).version, "is_restricted", False):
-        return Search(None, max(behind, 0.0))
+    reach = dict[str, float]()
+    for shape, own in zip(test.hypotheses, test.log_evidence.tolist(), strict=True):
+        if getattr(shape.version, "is_restricted", False):
+            reach[shape.cause] = max(own, reach.get(shape.cause, -np.inf))
+    # One that is likelier in all rows is so by what a refit may have found to be beyond its bounds.
+    evidence = {
+        cause: test.log_evidence_by_cause[cause]
+        for cause in reach
+        if getattr(test.best_hypothesis(cause).version, "is_restricted", False)
+    }
+    highest = misfit.log_evidence_by_cause.get(likeliest, -np.inf) + PAIR_LOG_PENALTY
+    if max(evidence.values(), default=-np.inf) < highest:
+        nearest = max((reach | evidence).values(), default=-np.inf)
+        return Search(None, max(highest - nearest, 0.0))
+    evidence = misfit.log_evidence_by_cause | evidence
     found = replace(
         misfit, hypotheses=test.hypotheses, log_evidence=test.log_evidence, log_evidence_by_cause=evidence
     )

@@ -19,7 +19,7 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.extension import DEPARTURE_PASSES, SelectedCause, fit_causes
 from stickslip_fit.diagnosis.finding import Finding
-from stickslip_fit.diagnosis.fold_selection import Looks
+from stickslip_fit.diagnosis.fold_selection import Looks, OpenSelection
 from stickslip_fit.diagnosis.linearized import (
     ExtendedFit,
     LawBlock,
@@ -271,11 +271,12 @@ def predict_held_out(
     return np.stack(errors)
 
 
-def confirm_selection(looks: Looks, split: Split) -> Selection | None:
+def confirm_selection(looks: Looks, split: Split) -> Selection | OpenSelection | None:
     """As `select_from_training` where the training rows clearly show what the whole log shows, else None.
 
     The tests are repeated by linear algebra, and the laws refitted from their fit to all rows. A law for
-    unknown structure is searched again.
+    unknown structure is searched again. Where combinations of causes come near to the last structure, the
+    selection before it.
     """
     whole = looks.selection
     if any(one.cause == UNKNOWN and one.version is None for one in whole.selected):
@@ -301,8 +302,11 @@ def confirm_selection(looks: Looks, split: Split) -> Selection | None:
     rng = np.random.default_rng(0)  # of simulated noise
     for k, (one, before) in enumerate(zip(causes, whole.law_causes, strict=True)):
         if one.cause == UNKNOWN:
+            last = k + 1 == len(causes)
+            if last and looks.is_open(rows):
+                return looks.leave_open(training, causes[:k], rows)
             causes[k] = looks.propose_without(k, one, rows, rng)
-            version, last = causes[k].version, k + 1 == len(causes)
+            version = causes[k].version
             # The tests of what follows are those without all that its carriers may explain.
             if version is None or (version.carriers != before.version.carriers and not last):
                 return None

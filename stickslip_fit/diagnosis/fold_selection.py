@@ -1,14 +1,14 @@
 """What a selection would be without some rows: its tests repeated by linear algebra (`leave_out`).
 
 Close rivals are judged by the squared residuals of a refit of each, whose linearized law loses the rows as a
-test does. A law for unknown structure is proposed anew. Where the answer of a test is not clear, the
-selection has to be repeated.
+test does. A law for unknown structure is proposed anew. Where a test is not clear, the selection has to be
+repeated; where only combinations of causes come near to the last structure, as far as that (`OpenSelection`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,12 +16,19 @@ import numpy as np
 from stickslip_fit._typing import IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.combinations import PAIR_LOG_PENALTY
-from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes, make_selected
+from stickslip_fit.diagnosis.extension import (
+    Extension,
+    SelectedCause,
+    extend_problem,
+    fit_causes,
+    make_selected,
+)
 from stickslip_fit.diagnosis.leave_out import LeftOut, Look
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause
+from stickslip_fit.diagnosis.problem import DiagnosisProblem
 from stickslip_fit.diagnosis.proposed_term import propose_term, rank_forms
-from stickslip_fit.diagnosis.selection import Selection, allocate_alpha
+from stickslip_fit.diagnosis.selection import Selection, allocate_alpha, select_last
 
 CLEAR_TEST, CLEAR_NAME = 1.0, 3.0  # nats from the critical value, and between the best cause and the next
 CLEAR_NAME_SHARE = 0.03  # of the evidence, between the best cause and the next, before these are refitted
@@ -41,11 +48,40 @@ def log_likelihood_change(linearized: LinearizedFit, rows: IntArray) -> float:
     return without + 0.5 * df * float(np.log(squares))
 
 
+@dataclass(frozen=True, eq=False)
+class OpenSelection:
+    """What is selected without some rows, as far as the tests are clear.
+
+    Structure is left in which no single cause is likelier than `unknown`; a combination of causes may be.
+    Nothing is found beside it.
+
+    Attributes
+    ----------
+    selection : Selection
+        Of the causes before it.
+    alpha : float
+        Of the diagnosis.
+    """
+
+    selection: Selection
+    alpha: float
+
+    def settle(self, rng: np.random.Generator) -> Selection | None:
+        """The selection with a law for what is left; None where that is a combination or has no law."""
+        problem, before = self.selection.problem, self.selection.selected
+        whole = extend_problem(problem, before) if before else Extension(problem, problem.fit_extended())
+        last = select_last(whole, before, self.alpha, rng)
+        if last.cause != UNKNOWN or last.version is None:
+            return None
+        selected = (*before, last)
+        return replace(self.selection, selected=selected, fit=fit_causes(problem, selected))
+
+
 class Looks:
     """The tests that named the causes in a selection's law, and the last one, which named no other."""
 
     def __init__(self, selection: Selection, alpha: float) -> None:
-        self.selection, self.level = selection, allocate_alpha(alpha)
+        self.selection, self.alpha, self.level = selection, alpha, allocate_alpha(alpha)
         looks: dict[int, Look] = {}
         named = {one.cause for one in selection.law_causes if one.cause != UNKNOWN}
 
@@ -64,7 +100,8 @@ class Looks:
     def select_without(self, rows: IntArray) -> list[SelectedCause] | None:
         """The causes in the law as selected without some rows; None if a look is not clear without them.
 
-        Unknown structure has the law of all rows, see `propose_without`.
+        Unknown structure has the law of all rows, see `propose_without`. The last may be a combination of
+        causes after all, see `is_open`.
         """
         selected: list[SelectedCause] = []
         causes = self.selection.law_causes
@@ -73,7 +110,9 @@ class Looks:
             if self._ahead_of_noise(without) < CLEAR_TEST:
                 return None
             if one.cause == UNKNOWN:
-                if not self._is_unknown(naming, without) or not self._is_ahead_of_pairs(place, without):
+                if not self._is_unknown(naming, without):
+                    return None
+                if place + 1 < len(causes) and not self._is_ahead_of_pairs(place, without):
                     return None
                 if revised is not naming:
                     without = revised.without(rows)
@@ -89,6 +128,38 @@ class Looks:
                 return None
             selected.append(revised.select(one.cause, without, rows))
         return selected if self.last is None or self._is_last(self.last.without(rows)) else None
+
+    def is_open(self, rows: IntArray) -> bool:
+        """Whether the last structure may be a combination of causes without some rows."""
+        last = len(self.naming) - 1
+        if self.selection.law_causes[last].cause != UNKNOWN:
+            return False
+        return not self._is_ahead_of_pairs(last, self.naming[last].without(rows))
+
+    def leave_open(
+        self, problem: DiagnosisProblem, selected: Sequence[SelectedCause], rows: IntArray
+    ) -> OpenSelection:
+        """What is selected in the `problem`, which is without some rows, before the last structure.
+
+        Of the tests what says in which forms each cause may be.
+        """
+        slim = []
+        for look, one in zip(self.revised, selected, strict=False):
+            carriers = set(getattr(one.version, "carriers", ()))
+            test = look.without(rows)
+            best = test.hypotheses.index(test.best_subspace(one.cause))
+            alike = [
+                place
+                for place, shape in enumerate(test.hypotheses)
+                if classify_cause(shape) == one.cause
+                and (one.cause != UNKNOWN or set(getattr(shape.version, "carriers", ())) == carriers)
+            ]
+            slim.append(
+                replace(one, misfit=look.restrict(test, [best, *alike], rows), naming=None, tested=None)
+            )
+        return OpenSelection(
+            replace(self.selection.without_tests, problem=problem, selected=tuple(slim)), self.alpha
+        )
 
     def propose_without(
         self, place: int, selected: SelectedCause, rows: IntArray, rng: np.random.Generator

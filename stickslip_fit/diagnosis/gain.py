@@ -35,7 +35,7 @@ from stickslip_fit.diagnosis.cross_validation import (
 from stickslip_fit.diagnosis.evidence import log_likelihood_ratio
 from stickslip_fit.diagnosis.extension import SelectedCause, fit_causes
 from stickslip_fit.diagnosis.finding import Finding, Gain
-from stickslip_fit.diagnosis.fold_selection import prepare_looks
+from stickslip_fit.diagnosis.fold_selection import OpenSelection, prepare_looks
 from stickslip_fit.diagnosis.gain_interval import (
     CompetingCauses,
     LinearizedCampaign,
@@ -63,6 +63,7 @@ PROGRESS_STEP = "predicting held-out traverses"
 
 SplitProgress = Callable[[int, int], None]
 Prediction = Callable[..., Array]
+Confirmation = Callable[[Split], Selection | OpenSelection | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +149,7 @@ def estimate_gains(
     workers: int = -1,
     progress: SplitProgress | None = None,
     predict: Prediction = predict_held_out,
-    confirm: Callable[[Split], Selection | None] | None = None,
+    confirm: Confirmation | None = None,
     recolour: Recolouring = keep_columns,
     beyond: Callable[[Sequence[Finding], Split], Array] | None = None,
 ) -> list[tuple[Gain, tuple[Finding, ...]]]:
@@ -172,7 +173,7 @@ def estimate_gains(
     predict : callable, optional
         As `predict_held_out`; a table's laws are calibrated in another way.
     confirm : callable, optional
-        From a split to its selection, or None where the search has to be repeated.
+        From a split to its selection, as far as it is clear; None where the search has to be repeated.
     recolour : callable, optional
         Of `LinearizedCampaign`.
     beyond : callable, optional
@@ -255,15 +256,19 @@ def _search_split(
     selector: Selector,
     seed: tuple[int, int],
     split: Split,
+    begun: OpenSelection | None,
 ) -> tuple[Selection, Array]:
-    """What is selected from the training rows of a split, and the errors with it."""
-    selection = select_from_training(problem, split, selector, seed).without_tests
+    """What is selected from the training rows of a split, as `begun` if possible, and the errors with it."""
+    selection = None if begun is None else begun.settle(np.random.default_rng(seed))
+    if selection is None:
+        selection = select_from_training(problem, split, selector, seed)
+    selection = selection.without_tests
     return selection, predict(split, selection)
 
 
 def _collect_errors(
     predict: Callable[..., Array],
-    confirm: Callable[[Split], Selection | None] | None,
+    confirm: Confirmation | None,
     searches: FoldSearches,
     splits: Sequence[tuple[int, Split]],
     workers: int,
@@ -272,8 +277,12 @@ def _collect_errors(
     """The errors in each split, given with its number in its set."""
     known, problem = searches.known, searches.selection.problem
     keys = [(split.train.tobytes(), number) for number, split in splits]
+    begun: dict[tuple[bytes, int], OpenSelection] = {}
     for key, (_, split) in zip(keys, splits, strict=True):
-        if confirm is not None and key not in known and (confirmed := confirm(split)) is not None:
+        confirmed = confirm(split) if confirm is not None and key not in known else None
+        if isinstance(confirmed, OpenSelection):
+            begun[key] = confirmed
+        elif confirmed is not None:
             known[key] = confirmed.without_tests
     open_splits = [place for place, key in enumerate(keys) if key not in known]
     errors = {
@@ -282,7 +291,9 @@ def _collect_errors(
         if key in known
     }
     search = partial(_search_split, predict, problem, searches.selector)
-    tasks = [partial(search, (searches.seed, splits[k][0]), splits[k][1]) for k in open_splits]
+    tasks = [
+        partial(search, (searches.seed, splits[k][0]), splits[k][1], begun.get(keys[k])) for k in open_splits
+    ]
     results = _run_tasks(tasks, workers, at_once=len(problem) > MAX_SERIAL_ROWS)
     for done, (place, result) in enumerate(zip(open_splits, results, strict=True), start=1):
         known[keys[place]], errors[place] = result

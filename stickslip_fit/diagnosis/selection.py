@@ -42,6 +42,7 @@ from stickslip_fit.diagnosis.extension import (
     add_candidates,
     assess_evidence,
     assess_residuals,
+    compute_evidence,
     expect_noise,
     extend_problem,
     law_causes,
@@ -367,6 +368,21 @@ class _ForwardSelection:
                     break
             else:
                 break
+
+
+def select_last(
+    extension: Extension, selected: Sequence[SelectedCause], alpha: float, rng: np.random.Generator
+) -> SelectedCause:
+    """What a search selects after some causes, whose law is the extension, where nothing follows that."""
+    searched = absorb_unknown(extension, selected)
+    test = compute_evidence(searched, extension.problem, name_explained(selected))
+    refits = refit_likeliest(extension.problem, selected, test)
+    search = _ForwardSelection(extension, refits.misfit, alpha, 0, rng)
+    search.selected = list(selected)
+    chosen = search.choose_cause(refits, searched)
+    if chosen[-1].cause == UNKNOWN and not _ends_search(chosen[-1], len(extension.problem)):
+        chosen = search.replace_unknown(chosen, searched)
+    return chosen[-1]
 
 
 def widen_selection(selection: Selection, causes: Sequence[Any], alpha: float) -> Selection | None:

@@ -1,5 +1,6 @@
 """A test repeated without some rows, by linear algebra: beside the same test of a log that lacks them."""
 
+import pickle
 from dataclasses import replace
 from functools import partial
 
@@ -16,7 +17,7 @@ from stickslip_fit.diagnosis.cross_validation import (
 )
 from stickslip_fit.diagnosis.effect_size import size_findings
 from stickslip_fit.diagnosis.extension import compute_evidence, make_selected
-from stickslip_fit.diagnosis.fold_selection import log_likelihood_change, prepare_looks
+from stickslip_fit.diagnosis.fold_selection import OpenSelection, log_likelihood_change, prepare_looks
 from stickslip_fit.diagnosis.gain import hold_out_configurations, select_in_fold
 from stickslip_fit.diagnosis.hypotheses import make_hypothesis, split_sessions
 from stickslip_fit.diagnosis.leave_out import LeftOut, Look
@@ -223,8 +224,16 @@ def test_a_law_for_unknown_structure_is_searched_anew_in_each_fold():
     np.testing.assert_allclose(confirmed[0], repeated[0], rtol=1e-6)
     assert np.sqrt(np.mean((confirmed[1] - repeated[1]) ** 2)) < 0.02 * after
     (unknown,) = selection.selected
-    paired = replace(selection, selected=(replace(unknown, ahead_of_pairs=2.0),))
-    assert confirm_search(prepare_looks(paired, ALPHA), split, findings) is None
+    # Where a pair of causes comes near, pairs are tried anew, and nothing else is.
+    near = replace(selection, selected=(replace(unknown, ahead_of_pairs=2.0),))
+    begun = confirm_selection(prepare_looks(near, ALPHA), split)
+    assert isinstance(begun, OpenSelection)
+    settled = begun.settle(np.random.default_rng(0))
+    errors = predict_held_out(selection.problem, split, findings, settled)
+    assert np.sqrt(np.mean((errors[1] - repeated[1]) ** 2)) < 0.02 * after
+    # Where a cause is likelier instead, the search has to be repeated.
+    by_causes = replace(begun.selection, problem=replace(begun.selection.problem, alternatives=lambda _: ()))
+    assert replace(begun, selection=by_causes).settle(np.random.default_rng(0)) is None
     looks.selection = replace(selection, problem=replace(selection.problem, expressions=lambda _: None))
     smooth = confirm_search(looks, split, findings)
     assert np.sqrt(np.mean((smooth[1] - repeated[1]) ** 2)) > 0.05 * after  # no expression is left to choose
@@ -270,6 +279,28 @@ def test_a_law_for_unknown_structure_is_searched_anew_beside_a_cause():
     before, *_, after = np.sqrt(np.mean(repeated**2, axis=1))
     assert after < 0.8 * before
     assert np.sqrt(np.mean((confirmed[-1] - repeated[-1]) ** 2)) < 0.1 * after
+
+
+@pytest.mark.slow
+def test_a_selection_that_is_open_goes_on_after_what_was_selected_before():
+    """Also in another process; as in the search repeated."""
+    hidden, forms = ("drift", "unknown:harmonic"), {"unknown:harmonic": "cos 3 q2"}
+    log = read_hidden(hide("thesis", hidden, (60, 24), seed=6, forms=forms), (3,))
+    causes = [cause for cause in library() if cause.name in FEW]
+    selection, findings, _, repeated = compare_with_repetition(log, causes)
+    first, second = selection.selected
+    assert first.version != second.version
+    near = replace(selection, selected=(first, replace(second, ahead_of_pairs=2.0)))
+    split = hold_out_configurations(selection)[0]
+    begun = pickle.loads(pickle.dumps(confirm_selection(prepare_looks(near, ALPHA), split)))
+    (before,) = begun.selection.selected
+    assert before.version.carriers == first.version.carriers
+    assert len(before.misfit.hypotheses) < 0.1 * len(first.misfit.hypotheses)
+    settled = begun.settle(np.random.default_rng(0))
+    errors = predict_held_out(selection.problem, split, findings, settled)
+    with_one, with_both = np.sqrt(np.mean(repeated[1:] ** 2, axis=1))
+    assert with_both < 0.97 * with_one
+    assert np.sqrt(np.mean((errors[-1] - repeated[-1]) ** 2)) < 0.1 * with_both
 
 
 @pytest.mark.nightly
