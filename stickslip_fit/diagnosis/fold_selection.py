@@ -121,7 +121,9 @@ class Looks:
                 selected.append(replace(one, misfit=without))
                 continue
             if revised is not naming:
-                if not self._is_known(place, without, rows):
+                was_unknown = not one.together_with and form_cause_set(naming.misfit).cause == UNKNOWN
+                begins = was_unknown and self._is_unknown(naming, without)
+                if not begins and not self._is_known(place, without, rows):
                     return None
                 without = revised.without(rows)
             if not self._is_clear(revised, without, one.cause, rows, was_revised=revised is not naming):

@@ -287,8 +287,14 @@ class _ForwardSelection:
             return False
         if self.selected and chosen[-1].cause != UNKNOWN:
             chosen, extension = revise_causes(extension, chosen, self.level, self.rng)
-            if is_open(extension):
-                return False
+        elif any(one.cause == UNKNOWN for one in self.selected):
+            # Of two effects that no cause describes, one may have been a cause's, which the other one hid.
+            chosen, extension = revise_causes(extension, chosen, self.level, self.rng, n_last=1)
+            if any(one is not own for one, own in zip(chosen, self.selected, strict=False)):
+                others = extend_problem(problem, chosen[:-1])
+                searched = absorb_unknown(others, chosen[:-1])
+        if is_open(extension):
+            return False
         if _ends_search(chosen[-1], len(problem)):
             # The tests that would follow carry-over are for independent noise.
             if self.selected and not isinstance(chosen[-1].version, CarryOverTerm):
