@@ -113,7 +113,8 @@ def _added_to_counts(linearized: LinearizedFit) -> Iterator[Function]:
     for carrier in find_carriers(linearized.table):
         if carrier.name not in (*ALONG, LENGTH):
             term, columns = smooth_functions(carrier, LENGTHS[0])
-            columns = STEPS_SCALE / SMOOTH_SCALE * columns / steps[:, None]
+            mean = np.full((len(steps), 1), term.sds[0])
+            columns = STEPS_SCALE / SMOOTH_SCALE * np.concatenate([mean, columns], axis=1) / steps[:, None]
             yield f"steps added by {carrier.name}", AddedSteps.of(term), columns
 
 
