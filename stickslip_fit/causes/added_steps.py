@@ -42,12 +42,9 @@ class AddedSteps(SmoothTerm):
 
     @classmethod
     def of(cls, term: SmoothTerm) -> AddedSteps:
-        """The same function, of steps that are added in place of the step size's logarithm.
-
-        Unlike a factor, which calibration absorbs, the mean of what is added matters: it is a function too.
-        """
-        sds = tuple(STEPS_SCALE / SMOOTH_SCALE * sd for sd in (term.sds[0], *term.sds))
-        return cls(term.carriers, term.limits, ((0,) * len(term.carriers), *term.orders), sds)
+        """The same function, of steps that are added in place of the step size's logarithm."""
+        sds = tuple(STEPS_SCALE / SMOOTH_SCALE * sd for sd in term.sds)
+        return cls(term.carriers, term.limits, term.orders, sds)
 
     @cached_property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]

@@ -113,8 +113,7 @@ def _added_to_counts(linearized: LinearizedFit) -> Iterator[Function]:
     for carrier in find_carriers(linearized.table):
         if carrier.name not in (*ALONG, LENGTH):
             term, columns = smooth_functions(carrier, LENGTHS[0])
-            mean = np.full((len(steps), 1), term.sds[0])
-            columns = STEPS_SCALE / SMOOTH_SCALE * np.concatenate([mean, columns], axis=1) / steps[:, None]
+            columns = STEPS_SCALE / SMOOTH_SCALE * columns / steps[:, None]
             yield f"steps added by {carrier.name}", AddedSteps.of(term), columns
 
 
