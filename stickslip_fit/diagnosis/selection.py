@@ -289,10 +289,11 @@ class _ForwardSelection:
             chosen, extension = revise_causes(extension, chosen, self.level, self.rng)
         elif any(one.cause == UNKNOWN for one in self.selected):
             # Of two effects that no cause describes, one may have been a cause's, which the other one hid.
+            kinds = list(map(_kind, chosen))
             chosen, extension = revise_causes(extension, chosen, self.level, self.rng, n_last=1)
-            if any(one is not own for one, own in zip(chosen, self.selected, strict=False)):
-                others = extend_problem(problem, chosen[:-1])
-                searched = absorb_unknown(others, chosen[:-1])
+            if list(map(_kind, chosen)) != kinds:
+                chosen, extension = revise_causes(extension, chosen, self.level, self.rng)
+                searched = absorb_unknown(extend_problem(problem, chosen[:-1]), chosen[:-1])
         if is_open(extension):
             return False
         if _ends_search(chosen[-1], len(problem)):
@@ -432,6 +433,11 @@ def _ends_search(selected: SelectedCause, n: int) -> bool:
         return True
     most = min(MAX_OWN_PARAMETERS, n // ROWS_PER_PARAMETER) if getattr(version, "sessions", ()) else np.inf
     return selected.cause == UNKNOWN and len(version.parameters) > most
+
+
+def _kind(selected: SelectedCause) -> tuple[str, type, tuple[str, ...]]:
+    """What a selected cause, or a law for unknown structure, is, whatever its size or form."""
+    return selected.cause, type(selected.version), getattr(selected.version, "carriers", ())
 
 
 def follows(selected: SelectedCause, carrier: str) -> bool:

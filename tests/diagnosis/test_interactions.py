@@ -164,11 +164,16 @@ def giving_way(table, minutes=8.0):
     return 0.02 * left / 60.0
 
 
-def late_by_supply(table):
-    """The stop is heard up to 60 steps late, or as early, by a column."""
+def late_by_supply(table, mean=0.0):
+    """The stop is heard up to 60 steps later than it is on average, or earlier, by a column."""
     volts = wandering(table, 3)
     table["supply_V"] = (60.0 + volts).round(2)
-    return table["steps"] / (table["steps"] + 60.0 * np.tanh(2.0 * volts)) - 1.0
+    return table["steps"] / (table["steps"] + mean + 60.0 * np.tanh(2.0 * volts)) - 1.0
+
+
+def later_by_supply(table):
+    """Always late, by 20 to 140 steps."""
+    return late_by_supply(table, 80.0)
 
 
 def fast_pump(table):
@@ -257,14 +262,19 @@ def test_a_tilt_is_no_condition_of_a_law_that_follows_its_changes():
 
 
 @pytest.mark.slow
-def test_steps_that_a_column_adds_to_counts_are_told_from_a_step_size_that_follows_it():
-    log, fresh = (read_with(late_by_supply, "many", (3,), 4, replicate) for replicate in (0, 1))
+@pytest.mark.parametrize(
+    ("effect", "beside"), [(late_by_supply, ()), (later_by_supply, ("end-stop-latency",))]
+)
+def test_steps_that_a_column_adds_to_counts_are_told_from_a_step_size_that_follows_it(effect, beside):
+    log, fresh = (read_with(effect, "many", (3,), 4, replicate) for replicate in (0, 1))
     found = diagnose(log, gain=False)
-    (finding,) = found.findings
+    finding, *others = found.findings
     assert (finding.cause, finding.carrier) == ("unknown", "steps added by supply")
+    assert tuple(one.cause for one in others) == beside
     text = " ".join(found.summary().headline)
     assert "Joint 3's counts have steps more or less that follow supply" in text
     assert re.search(r"at supply 6\d\.\d V \(6\d steps more\)", text)
+    assert not others or "the end stop is heard 80 steps late" in text
     error = np.log(fresh.rows["steps"] / found.extended_law().predict(fresh.rows)["steps"])
     assert np.sqrt(np.mean(error**2)) < 0.004
 
