@@ -134,7 +134,11 @@ class LinearizedFit:
 
     def project(self, columns: Array) -> Array:
         """Project columns onto the orthogonal complement of `basis`, shape (n,) or (n, m)."""
-        return columns - self.basis @ (self._basis_transposed @ columns)
+        left = self.project_own(columns)
+        if not self.shared_basis.shape[1]:
+            return left
+        # Its columns have entries in all rows: a dense product takes a tenth of the time.
+        return left - self.shared_basis @ (self.shared_basis.T @ columns)
 
     def absorb(self, effects: Array) -> LinearizedFit:
         """The same with further effects, whitened, shape (n, m), projected out as what all blocks share."""
@@ -200,10 +204,6 @@ class LinearizedFit:
         forward = self.direction_sign > 0
         in_both = np.any(self.shared_basis[forward], axis=0) & np.any(self.shared_basis[~forward], axis=0)
         return self.separates_directions and not in_both.any()
-
-    @cached_property
-    def _basis_transposed(self) -> csr_array:
-        return csr_array(self.basis.T)
 
     def select_rows(self, kept: IntArray) -> LinearizedFit:
         """The laws fitted anew to some rows of independent noise, in ascending order, linearized here."""
