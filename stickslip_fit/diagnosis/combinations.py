@@ -569,9 +569,11 @@ def _select_again(
 
 
 def find_needless(
-    whole: Extension, selected: Sequence[SelectedCause], most: float
+    whole: Extension, selected: Sequence[SelectedCause], most: float, needed: Sequence[int] = ()
 ) -> list[tuple[list[SelectedCause], Extension]]:
     """The laws without one of the selected causes that are hardly less likely than the `whole`.
+
+    Those at some places are known to be `needed`.
 
     What is selected later, unknown structure above all, may do as well what an earlier cause was needed for.
 
@@ -581,7 +583,7 @@ def find_needless(
         Those whose penalised likelihood is less by at most `most` nats, the likeliest first.
     """
     found = []
-    for place in range(len(selected)):
+    for place in (place for place in range(len(selected)) if place not in needed):
         others = [one for k, one in enumerate(selected) if k != place]
         extension = try_extension(whole.problem, others)
         if extension is None:

@@ -81,6 +81,7 @@ MAX_EXCEEDANCES = 50
 SWOLLEN_NOISE_LEFT = 0.1  # of the noise, without gross errors that were taken for it
 MAX_LEFT_OF_BOTH = 0.5  # of a cause and of a function without a name that cancel each other
 MIN_FREE = 1e-3  # of a row, one less its leverage
+CLEARLY_ABOVE = 1.0  # nats that a test's statistic is above its critical value
 MIN_EVIDENCE_SHARE = 0.5  # of a cause's evidence, without which another cannot take its place
 NO_ROWS: IntArray = np.zeros(0, dtype=np.intp)
 
@@ -369,12 +370,24 @@ class _ForwardSelection:
     def drop_needless(self, most: float) -> None:
         """Drop causes without which nothing is found, and the law is less likely by at most `most` nats."""
         while len(self.selected) > 1 and self.last.p_value >= self.level:
-            for others, extension in find_needless(self.extension, self.selected, most):
+            needed = self.find_needed(most + CLEARLY_ABOVE)
+            for others, extension in find_needless(self.extension, self.selected, most, needed):
                 if (without := self.assess(extension, others)).p_value >= self.level:
                     self.selected, self.extension, self.last = others, extension, without
                     break
             else:
                 break
+
+    def find_needed(self, least: float) -> list[int]:
+        """Places of causes that a test with all others in the law showed, by at least so many nats.
+
+        Of the last one it is that which selected it, unless another one has been selected again since.
+        """
+        as_found = all(one.naming is None for one in self.selected)
+        places = [k for k, one in enumerate(self.selected) if one.naming is not None]
+        places += [len(self.selected) - 1] if as_found else []
+        tests = {k: self.selected[k].misfit for k in places}
+        return [k for k, test in tests.items() if test is not None and test.statistic > least]
 
 
 def select_last(
