@@ -397,7 +397,7 @@ def _test_row(test: FactorTest) -> tuple[str, ...]:
     if test.design.analysis != "day":
         largest, smallest = (typeset_text(format_direction(level)) for level in (largest, smallest))
     at_floor = test.permutation.p_value <= test.permutation.floor * (1 + 1e-9)
-    statistic = f"{test.statistic:.3g}" if test.statistic < 1000 else f"{test.statistic:,.0f}"
+    statistic = _format_digits(test.statistic, 3)
     return (
         *_design_cells(test),
         name_difference(largest, smallest),
@@ -452,9 +452,19 @@ def _squares_table(joint: int, tests: Sequence[FactorTest]) -> Table:
     )
 
 
+def _format_digits(value: float, digits: int) -> str:
+    """A number to so many digits, all of those before the point; never in powers of ten if it is large.
+
+    >>> _format_digits(10057.3, 4), _format_digits(999.6, 3), _format_digits(0.01412, 3)
+    ('10,057', '1,000', '0.0141')
+    """
+    text = f"{value:.{digits}g}"
+    return text if "e+" not in text else f"{value:,.0f}"
+
+
 def _squares_row(line: Any, unit: str) -> tuple[str, ...]:
-    ss, ms = (f"{from_si(from_si(value, unit), unit):.5g}" for value in (line.ss, line.ms))
-    tested = (f"{line.F:.4g}", format_p_value(line.p)) if line.F == line.F else ("", "")
+    ss, ms = (_format_digits(from_si(from_si(value, unit), unit), 5) for value in (line.ss, line.ms))
+    tested = (_format_digits(line.F, 4), format_p_value(line.p)) if line.F == line.F else ("", "")
     return (line.term, ss, str(line.df), ms if line.ms == line.ms else "", *tested)
 
 
@@ -533,16 +543,16 @@ def _formula_sentence(table: pd.DataFrame) -> str:
 
 
 def _formula_row(row: pd.Series) -> tuple[str, ...]:
-    mean = f"{row['ms']:.6g}" if row["df"] else ""
+    mean = _format_digits(row["ms"], 6) if row["df"] else ""
     tested = [
-        f"{row['F']:.4g}",
+        _format_digits(row["F"], 4),
         format_p_value(row["p"]),
         format_p_value(row["p_holm"]),
         f"{row['omega_squared']:.2f}",
     ]
     return (
         row["term"],
-        f"{row['ss']:.6g}",
+        _format_digits(row["ss"], 6),
         str(row["df"]),
         mean,
         *(tested if row["F"] == row["F"] else [""] * 4),

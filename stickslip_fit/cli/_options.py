@@ -230,8 +230,9 @@ _REPEATABILITY_PATTERN = re.compile(r"(?:([1-9]\d?)([+-])=)?(\d{1,6}(?:\.\d{1,12
 
 
 def command_line() -> str:
-    """The command as it was typed, without the path of the program."""
-    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    """The command as it was typed, without the path of the program, which may be run as a module, too."""
+    name = Path(sys.argv[0]).name
+    return shlex.join(["stickslip-fit" if name == "__main__.py" else name, *sys.argv[1:]])
 
 
 def load_log(
