@@ -18,6 +18,7 @@ import pandas as pd
 from stickslip_fit._typing import Array, BoolArray
 
 DAY = 86400.0  # s
+N_SAMPLE = 20  # cells of a column, by which most of those that have no times are known
 AMBIGUOUS = (
     "may be day/month or month/day, since no number of the column is above 12; write dates such as 2024-05-31"
 )
@@ -66,6 +67,22 @@ def read_times(cells: pd.Series[Any]) -> Times:
         if 2 * sum(match is not None for match in matches) > len(texts):
             return read(matches)
     return Times(times, ~np.isfinite(times))
+
+
+def find_times(frame: pd.DataFrame) -> str:
+    """The first column of texts or moments each of which is a time; empty without one.
+
+    Examples
+    --------
+    >>> find_times(pd.DataFrame({"y": [1.0, 2.0], "by": ["Ann", "Bob"], "at": ["14:02", "14:09"]}))
+    'at'
+    """
+    for name, cells in frame.items():
+        if pd.api.types.is_numeric_dtype(cells) or cells.nunique() < 2:
+            continue
+        if not read_times(cells.iloc[:N_SAMPLE]).bad.any() and not read_times(cells).bad.any():
+            return str(name)
+    return ""
 
 
 def _read_clock(matches: list[re.Match[str] | None]) -> Times:

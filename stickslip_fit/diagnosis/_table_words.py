@@ -308,10 +308,12 @@ def describe_independence(table: TableInfo, findings: Sequence[Finding] = (), ne
         )
         if not neighbours:
             return told
+        advice = "if the rows stand in the order of measurement, name 'order' as the time"
+        if table.unnamed_time:
+            advice = f"name {table.unnamed_time!r}, which has times, as the time"
         return (
             f"{told} But what the law leaves of neighbouring rows is alike (correlation {neighbours:.2f}): "
-            "if the rows stand in the order of measurement, name 'order' as the time, which allows for noise "
-            "that persists. Until then an alarm may be due to that alone."
+            f"{advice}, which allows for noise that persists. Until then an alarm may be due to that alone."
         )
     if not table.is_correlated and any(one.carrier == "memory" for one in findings):
         return (

@@ -350,6 +350,8 @@ class TableInfo(DataInfo):
     time_unit : str
     roles : mapping of str to str
         Column of each role that was given or found: session, time, position, direction, group, sigma.
+    unnamed_time : str
+        A column of times where none was named as the time.
     file, sha256 : str
         Empty for a table that was never in a file; the hash is then that of its values.
     files : tuple of str
@@ -368,6 +370,7 @@ class TableInfo(DataInfo):
     noise_period: float = float("nan")
     time_unit: str = "s"
     roles: Mapping[str, str] = field(default_factory=dict)
+    unnamed_time: str = ""
     file: str = ""
     sha256: str = ""
     files: tuple[str, ...] = ()

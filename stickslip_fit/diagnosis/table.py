@@ -28,6 +28,7 @@ from stickslip_fit.causes.generic import SessionOffset
 from stickslip_fit.causes.late_columns import with_late_columns
 from stickslip_fit.causes.levels import MAX_LEVELS, ParametersBySession
 from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, prepare_rows
+from stickslip_fit.causes.times import find_times
 from stickslip_fit.diagnosis.autocorrelation import number_samples
 from stickslip_fit.diagnosis.extended_table import make_table_fit
 from stickslip_fit.diagnosis.finding import TableInfo
@@ -59,7 +60,7 @@ from stickslip_fit.logs.schema import COVARIATE_PREFIX
 MAX_RATIO = 1e15  # of a response to their median, beside which the others are lost in rounding
 # Of the noise, relative to the responses' standard deviation and to the largest of them; less is rounding.
 MIN_RELATIVE_SD, ROUNDING = 1e-9, 1e-13
-NO_TIME = "no column was named as the time; where rows stand in the order of measurement, name 'order' as it"
+NO_TIME = "no column was named as the time; "
 N_REFITS = 4
 NO_POSITION = "no column was named as the position"
 NO_DIRECTION = "no column was named as the direction"
@@ -308,6 +309,7 @@ def describe_table(
         noise_period=np.nan if noise is None else noise.period_rows * interval,
         time_unit=roles.time_unit,
         roles=roles.columns,
+        unnamed_time="" if roles.time else find_times(problem.rows),
         **source,
     )
     late = describe_late_columns(problem.rows, roles.time_unit)
@@ -368,7 +370,10 @@ def _bind_causes(causes: Iterable[Any], law: Any, rows: pd.DataFrame) -> tuple[A
 def _explain_missing(rows: pd.DataFrame, law: Any, roles: TableRoles) -> dict[str, str]:
     missing: dict[str, str] = {}
     if not roles.time:
-        missing |= dict.fromkeys(["drift", "warm-up", "sudden-change", "memory"], NO_TIME)
+        advice = "where rows stand in the order of measurement, name 'order' as it"
+        if times := find_times(rows):
+            advice = f"name {times!r} as it, which has times"
+        missing |= dict.fromkeys(["drift", "warm-up", "sudden-change", "memory"], NO_TIME + advice)
     if not roles.position:
         missing |= dict.fromkeys(["position", "periodic-in-position"], NO_POSITION)
     if not roles.direction:

@@ -90,12 +90,20 @@ def test_without_a_time_rows_count_as_independent_and_neighbours_that_are_alike_
     x, noise = rng.uniform(0, 10, 200), rng.standard_normal(200)
     for k in range(1, 200):
         noise[k] += phi * noise[k - 1]
-    found = ssf.diagnose_table(pd.DataFrame({"x": x, "y": 1 + 2 * x + noise}), "y ~ a + b*x", gain=False)
+    table = pd.DataFrame({"x": x, "y": 1 + 2 * x + noise})
+    found = ssf.diagnose_table(table, "y ~ a + b*x", gain=False)
     text = text_of(found)
     assert "count as independent, as no column was named as the time" in text
     assert "no autocorrelation" not in text
     assert ("neighbouring rows is alike (correlation 0.7" in text) == is_told
     assert ("name 'order' as the time, which allows for" in text) == is_told
+    table.insert(
+        0, "measured", pd.Timestamp("2025-03-03 09:00") + pd.to_timedelta(np.arange(200), unit="min")
+    )
+    table["measured"] = table["measured"].dt.strftime("%d.%m.%Y %H:%M")
+    dated = ssf.diagnose_table(table, "y ~ a + b*x", gain=False)
+    assert ("name 'measured', which has times, as the time, which allows for" in text_of(dated)) == is_told
+    assert dated.untestable["drift"].endswith("name 'measured' as it, which has times")
 
 
 @pytest.mark.slow
