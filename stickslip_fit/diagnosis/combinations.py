@@ -182,7 +182,7 @@ def find_in_part(
     for shape, own in zip(test.hypotheses, test.log_evidence.tolist(), strict=True):
         if getattr(shape.version, "is_restricted", False):
             reach[shape.cause] = max(own, reach.get(shape.cause, -np.inf))
-    # One that is likelier in all rows is so by what a refit may have found to be beyond its bounds.
+    # The others keep what their refits said of their bounds, which a linear test does not know.
     evidence = {
         cause: test.log_evidence_by_cause[cause]
         for cause in reach
