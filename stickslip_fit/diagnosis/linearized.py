@@ -137,7 +137,7 @@ class LinearizedFit:
         left = self.project_own(columns)
         if not self.shared_basis.shape[1]:
             return left
-        # Its columns have entries in all rows: a dense product takes a tenth of the time.
+        # Its columns have entries in all rows: a dense product takes a third of the time.
         return left - self.shared_basis @ (self.shared_basis.T @ columns)
 
     def absorb(self, effects: Array) -> LinearizedFit:
