@@ -16,7 +16,7 @@ import pytest
 from stickslip_fit.causes import library
 from stickslip_fit.causes.proposed import NestedTerm, ProposedTerm
 from stickslip_fit.diagnosis import Diagnosis, diagnose
-from stickslip_fit.diagnosis.cause_set import CauseSet
+from stickslip_fit.diagnosis.cause_set import CauseSet, form_cause_set
 from stickslip_fit.diagnosis.covered_causes import is_open
 from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.finding import Gain
@@ -231,3 +231,15 @@ def test_a_short_expression_in_time_is_not_taken_for_a_function_of_each_session(
 
 
 CHOSEN = SelectedCause(UNKNOWN, None, np.zeros(0), CauseSet(UNKNOWN, (), {}), None, 0.001)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [5, 6])
+def test_a_cause_that_another_effect_hid_is_named_once_that_one_is_in_the_law(seed):
+    """Far above the noise: with neither in the law a function without a name describes more of both."""
+    hidden, forms = ("drift", "unknown:harmonic"), {"unknown:harmonic": "cos 3 q2"}
+    log = read_hidden(hide("thesis", hidden, (60, 24), seed=seed, forms=forms), (3,))
+    found = diagnose(log, gain=False)
+    assert [(one.cause, one.carrier) for one in found.findings] == [("drift", ""), ("unknown", "q2")]
+    first, *_ = found.selection.law_causes
+    assert form_cause_set(first.naming).cause == UNKNOWN
