@@ -77,12 +77,15 @@ def find_times(frame: pd.DataFrame) -> str:
     >>> find_times(pd.DataFrame({"y": [1.0, 2.0], "by": ["Ann", "Bob"], "at": ["14:02", "14:09"]}))
     'at'
     """
-    for name, cells in frame.items():
-        if pd.api.types.is_numeric_dtype(cells) or cells.nunique() < 2:
-            continue
-        if not read_times(cells.iloc[:N_SAMPLE]).bad.any() and not read_times(cells).bad.any():
-            return str(name)
-    return ""
+    texts = frame.select_dtypes(exclude="number")
+    return next((str(name) for name, column in texts.items() if _has_times(column)), "")
+
+
+def _has_times(column: pd.Series[Any]) -> bool:
+    cells = column.astype(object)
+    if not all(isinstance(cell, str | datetime) for cell in cells) or cells.nunique() < 2:
+        return False
+    return not any(read_times(some).bad.any() for some in (cells.iloc[:N_SAMPLE], cells))
 
 
 def _read_clock(matches: list[re.Match[str] | None]) -> Times:

@@ -101,6 +101,7 @@ def test_without_a_time_rows_count_as_independent_and_neighbours_that_are_alike_
         0, "measured", pd.Timestamp("2025-03-03 09:00") + pd.to_timedelta(np.arange(200), unit="min")
     )
     table["measured"] = table["measured"].dt.strftime("%d.%m.%Y %H:%M")
+    table["remark"] = [1, "over", 3.5, None] * 50  # neither numbers nor texts
     dated = ssf.diagnose_table(table, "y ~ a + b*x", gain=False)
     assert ("name 'measured', which has times, as the time, which allows for" in text_of(dated)) == is_told
     assert dated.untestable["drift"].endswith("name 'measured' as it, which has times")
