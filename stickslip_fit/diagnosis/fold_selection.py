@@ -153,7 +153,8 @@ class Looks:
             alike = [
                 place
                 for place, shape in enumerate(test.hypotheses)
-                if classify_cause(shape) == one.cause
+                if place != best
+                and classify_cause(shape) == one.cause
                 and (one.cause != UNKNOWN or set(getattr(shape.version, "carriers", ())) == carriers)
             ]
             slim.append(

@@ -375,7 +375,7 @@ class Look:
         return make_selected(test, form_cause_set(without, cause))
 
     def restrict(self, without: Misfit, places: Sequence[int], rows: IntArray) -> Misfit:
-        """The test of the rows that are left, of some hypotheses only."""
+        """The test of the rows that are left, of some hypotheses only, of those that have an effect there."""
         kept = np.setdiff1d(np.arange(len(without.residual)), rows)
         left_out, chosen = self._leave_out(rows), [without.hypotheses[place] for place in places]
         sequences = leave_out_rows((one.sequences for one in chosen if isinstance(one, AR1)), rows)
@@ -387,11 +387,12 @@ class Look:
             )
             for one in chosen
         ]
-        assert None not in own  # without an effect there would be no evidence of it
+        # A jump in a session that is left out has no effect.
+        left = [(place, one) for place, one in zip(places, own, strict=True) if one is not None]
         return replace(
             without,
             residual=without.residual[kept],
             basis=None,
-            hypotheses=tuple(one for one in own if one is not None),
-            log_evidence=without.log_evidence[list(places)],
+            hypotheses=tuple(one for _, one in left),
+            log_evidence=without.log_evidence[[place for place, _ in left]],
         )

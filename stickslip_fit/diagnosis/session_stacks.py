@@ -211,9 +211,9 @@ def build_per_session_hypotheses(
         return []
     versions = [None] * len(names) if versions is None else versions
     shared, parts = sessions[0].shared, [_OwnEffects.of(session, effects) for session in sessions]
-    is_coupled = shared is not None and 1 < len(sessions) <= MAX_COUPLED_SESSIONS
+    coupled = shared if 1 < len(sessions) <= MAX_COUPLED_SESSIONS else None
     try:
-        stack, variance = _couple(parts, shared) if shared is not None and is_coupled else _stack(parts)
+        stack, variance = _stack(parts) if coupled is None else _couple(parts, coupled)
     except np.linalg.LinAlgError:  # of one of them: all are left out
         return []
     total = variance.sum(axis=1)
@@ -222,11 +222,12 @@ def build_per_session_hypotheses(
     for k in np.flatnonzero(total >= EFFECT_TOL**2).tolist():
         blocks: Sequence[Block] = StackedBlocks(stack, k)
         if not whole[k]:
+            blocks = stack.blocks(k)
             ends = np.cumsum([block.shape[1] for _, block in blocks])[:-1]
             inside = np.split(kept[k], ends)
             blocks = tuple((rows, own[:, some]) for (rows, own), some in zip(blocks, inside, strict=True))
         share, length = variance[k][kept[k]] / total[k], float(np.sqrt(total[k]))
-        left = None if is_coupled else shared
+        left = shared if coupled is None else None
         hypotheses.append(Hypothesis(names[k], versions[k], None, n, blocks, share, length, shared=left))
     return hypotheses
 
