@@ -145,6 +145,18 @@ def test_where_nothing_but_memory_is_left_to_test_its_evidence_is_that_without_t
     assert Look(assess(only)).without(rows).log_evidence == pytest.approx(expected.log_evidence, abs=1e-6)
 
 
+def test_shapes_of_a_session_that_is_left_out_have_no_part_in_the_test_of_the_others(problem):
+    jump = [cause for cause in library() if cause.name == "session-jump"]
+    with_jumps = replace(problem, causes=tuple(jump))
+    session = with_jumps.rows["session"].to_numpy(object)
+    rows = np.flatnonzero(session == session[0])
+    look = Look(compute_evidence(with_jumps.linearize(), with_jumps))
+    places = [k for k, one in enumerate(look.misfit.hypotheses) if one.cause == "session-jump"]
+    test = look.restrict(look.without(rows), places, rows)
+    assert 0 < len(test.hypotheses) == len(test.log_evidence) < len(places)
+    assert session[0] not in {one.version.session for one in test.hypotheses}
+
+
 @pytest.mark.slow
 def test_hypotheses_that_are_far_behind_need_not_be_tested_anew():
     """In the test that names a cause and in the one that shows nothing more, the answers stay the same."""
