@@ -48,7 +48,7 @@ def test_check_says_what_a_log_holds(run, log):
     assert "2 sessions" in out
 
 
-@pytest.mark.parametrize("method", ["closed-form", "least-squares"])
+@pytest.mark.parametrize("method", ["closed-form", pytest.param("least-squares", marks=pytest.mark.slow)])
 def test_fit_prints_and_saves(run, log, tmp_path, method):
     status, out, _ = run("fit", log, "--method", method, "--json", tmp_path / "fit.json")
     assert status == 0

@@ -56,7 +56,8 @@ def drive_both(drive, manipulator, seed, bursts=100):
 @pytest.mark.parametrize(
     "name",
     [
-        *("thermal-warm-up", "reversal-loss"),
+        "thermal-warm-up",
+        pytest.param("reversal-loss", marks=pytest.mark.slow),
         *(
             pytest.param(name, marks=pytest.mark.nightly)
             for name in ("nothing", "drift", "wear", "load-hysteresis")

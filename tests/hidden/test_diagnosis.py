@@ -29,7 +29,7 @@ def diagnosed(kind, number, logs=3, strength=STRONG):
         pytest.param("thermal-warm-up", "thesis", marks=pytest.mark.nightly),
         ("session-jump", "session"),
         pytest.param("temperature", "many", marks=pytest.mark.nightly),
-        ("q2-offset", "thesis"),
+        pytest.param("q2-offset", "thesis", marks=pytest.mark.slow),
         pytest.param("recoil-axis", "session", marks=pytest.mark.nightly),
         pytest.param("load-nonlinearity", "thesis", marks=pytest.mark.nightly),
         pytest.param("guide-gradient", "many", marks=pytest.mark.nightly),

@@ -43,7 +43,7 @@ def test_gross_errors_of_a_small_log_are_named_and_nothing_else(seed):
     [
         ("small", 0.01, 0),
         *(pytest.param("small", 0.01, seed, marks=pytest.mark.nightly) for seed in range(1, 4)),
-        ("campaign", 0.01, 1005),
+        pytest.param("campaign", 0.01, 1005, marks=pytest.mark.slow),
         pytest.param("campaign", 0.01, 2, marks=pytest.mark.nightly),
         pytest.param("campaign", 0.0025, 5, marks=pytest.mark.nightly),
     ],
@@ -55,6 +55,7 @@ def test_gross_errors_are_found_before_anything_is_searched(size, rate, seed):
     assert set(find_gross_errors(problem, LEVEL).rows) == set(rows)
 
 
+@pytest.mark.slow
 def test_several_that_no_noise_gives_together_are_found():
     """Three of 160 to 174 counts, some 15 standard deviations off: noise with heavy tails might give one."""
     found, others = 0, 0

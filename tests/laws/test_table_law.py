@@ -100,7 +100,10 @@ UNBOUNDED = {
 
 @pytest.mark.parametrize(
     ("case", "unit"),
-    [("wave", 1e-6), *((case, unit) for case in ("decay", "peak", "step") for unit in (1e-6, 1.0, 1e4))],
+    [
+        pytest.param("wave", 1e-6, marks=pytest.mark.slow),
+        *((case, unit) for case in ("decay", "peak", "step") for unit in (1e-6, 1.0, 1e4)),
+    ],
 )
 def test_a_nonlinear_law_is_fitted_without_start_values_or_bounds_in_any_unit(case, unit):
     formula, true = UNBOUNDED[case]
