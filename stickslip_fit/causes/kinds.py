@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip_fit._typing import Array
-from stickslip_fit.causes.base import DIFFERENCE_STEP, Cause, extend
+from stickslip_fit.causes.base import DIFFERENCE_STEP, Cause, ExtendedLaw, extend
 from stickslip_fit.causes.parameters import Row, SizedParameter
 from stickslip_fit.errors import InputError
 from stickslip_fit.laws import State, StepLaw, state_at
@@ -116,11 +116,16 @@ class FactorCause(Cause):
         if any(factor.shape[1] > 1 for factor in factors):
             return super().changes(law, rows, values, trials)
         factor = np.concatenate([*factors, one], axis=1)[:, :-1]
-        added = before.steps_added(ends, values)[:, None]
-        if not added.any():
-            return -np.log(factor)
-        steps = np.exp(law.predict(rows, values))[:, None]
-        return np.log((steps - added) / factor + added) - np.log(steps)
+        return beside_steps_added(before, rows, values, ends, -np.log(factor))
+
+
+def beside_steps_added(law: ExtendedLaw, rows: Row, values: Array, ends: State, changes: Array) -> Array:
+    """Changes of the response, (n, m), by those of the logarithm of the steps that count causes add to."""
+    added = law.steps_added(ends, values)[:, None]
+    if not added.any():
+        return changes
+    steps = np.exp(law.predict(rows, values))[:, None]
+    return np.asarray(np.log((steps - added) * np.exp(changes) + added) - np.log(steps))
 
 
 _OF_CAUSE = (

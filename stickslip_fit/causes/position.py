@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,12 +13,13 @@ import pandas as pd
 
 from stickslip_fit._format import format_percent
 from stickslip_fit._rows import unique_rows
-from stickslip_fit._typing import Array, BoolArray
+from stickslip_fit._typing import Array, BoolArray, IntArray
+from stickslip_fit.causes._integration import PanelCounter
 from stickslip_fit.causes.base import Cause, ExtendedLaw, extend
 from stickslip_fit.causes.joint_ranges import NOMINAL_TRAVEL, JointRanges, Ranges
-from stickslip_fit.causes.kinds import CountCause, FactorCause, OnSomeJoints
+from stickslip_fit.causes.kinds import CountCause, FactorCause, OnSomeJoints, beside_steps_added
 from stickslip_fit.causes.parameters import CauseParameter, Row, Sizes
-from stickslip_fit.laws import Configuration, ConstantStep, State, StepLaw
+from stickslip_fit.laws import Configuration, ConstantStep, State, StepLaw, state_at
 from stickslip_fit.units import PRISMATIC
 
 __all__ = [  # noqa: RUF022
@@ -29,6 +30,10 @@ __all__ = [  # noqa: RUF022
     "ReversalLoss",
     "EndStopMisfire",
 ]
+
+
+MIN_STRETCHES = 100  # of which those of all together are counted
+CELLS_IN_PANEL, LEAST_PANELS = 40, 4
 
 
 @dataclass(frozen=True)
@@ -149,21 +154,85 @@ class GuideProfileCause(PositionCause):
 
     def changes(self, law: StepLaw, rows: Row, values: Array, trials: Array) -> Array:
         """See `Cause.changes`: where profiles alone vary along the guide, a stretch counts once."""
-        active = law.active_causes if isinstance(law, ExtendedLaw) else []
-        along = [(cause, columns) for cause, columns in active if cause.varies_along_traverse]
-        if any(cause.acts_at == "count" for cause, _ in active) or not all(
-            isinstance(cause, GuideProfileCause) for cause, _ in along
-        ):
+        before = extend(law)
+        along = [(cause, columns) for cause, columns in before.active_causes if cause.varies_along_traverse]
+        if not all(isinstance(cause, GuideProfileCause) for cause, _ in along):
             return super().changes(law, rows, values, trials)
         ends = [np.asarray(rows[end], dtype=float) for end in ("start", "stop")]
+        changes = self._stretch_changes(law, ends, values, along, trials)
+        row = self.row_values(law, rows)
+        state = state_at(law.joint, row, np.stack([row["start"], row["stop"]], axis=-1))
+        return beside_steps_added(before, rows, values, state, changes)
+
+    def _stretch_changes(
+        self, law: StepLaw, ends: list[Array], values: Array, along: Sequence[Any], trials: Array
+    ) -> Array:
+        """Changes of the logarithm of the steps by a profile where others, `along`, act on the joint."""
         profile = [values[:, columns.start : columns.stop] for _, columns in along]
         stretches, which = unique_rows(np.column_stack([*ends, np.ones(len(values)), *profile]))
         # What is constant along a traverse does not change by how much its steps differ.
         constant = extend(
             ConstantStep(law.joint, Configuration("anywhere"), prismatic=True), *(cause for cause, _ in along)
         )
+        if len(stretches) > MIN_STRETCHES and not np.ptp(stretches[:, 2:], axis=0).any():
+            changes = changes_by_travel(self, constant, stretches[:, :2], stretches[0, 2:], trials)
+            if np.isfinite(changes).all():
+                return changes[which]
         distinct = dict(zip(("start", "stop"), stretches.T, strict=False))
         return Cause.changes(self, constant, distinct, stretches[:, 2:], trials)[which]
+
+
+def changes_by_travel(cause: Cause, law: ExtendedLaw, ends: Array, values: Array, trials: Array) -> Array:
+    """As `Cause.changes` over many stretches of one guide on which only its own position matters.
+
+    Steps since the end of the guide, of all stretches together: from cells much narrower than what the law
+    resolves, in each of which they are a cubic of the position (Hermite's).
+
+    Parameters
+    ----------
+    cause : Cause
+    law : ExtendedLaw
+    ends : array, shape (n, 2)
+        Start and stop, m.
+    values : array, shape (p,)
+    trials : array, shape (m, q)
+
+    Returns
+    -------
+    array, shape (n, m)
+        NaN where the joint stalls somewhere.
+    """
+    extended, all_values = cause.extend(law), np.hstack([np.tile(values, (len(trials), 1)), trials])
+    lowest, highest = float(ends.min()), float(ends.max())
+    panel = min(extended.panel(all_values), (highest - lowest) / LEAST_PANELS)
+    edges = np.linspace(lowest, highest, int(np.ceil(CELLS_IN_PANEL * (highest - lowest) / panel)) + 1)
+    cell = np.clip(np.searchsorted(edges, ends, side="right") - 1, 0, len(edges) - 2)
+    width = np.diff(edges)[cell]
+    x = (ends - edges[cell]) / width
+    changes = np.empty((len(ends), len(trials)))
+    for forwards in (True, False):
+        rows = np.flatnonzero((ends[:, 1] >= ends[:, 0]) == forwards)
+        first, last = (edges[:-1], edges[1:]) if forwards else (edges[1:], edges[:-1])
+        counter = PanelCounter(first, last, 1, np.inf)
+        places = np.column_stack([counter.positions, edges[:-1], edges[1:]])
+        state = state_at(law.joint, {"start": first, "stop": last}, places)
+        steps = []
+        for one in (np.append(values, cause.null_values), *all_values):
+            gamma = np.broadcast_to(extended.gamma(state, np.tile(one, (len(first), 1))), places.shape)
+            within = counter.counts(gamma[:, :-2])
+            at = cell[rows], x[rows], width[rows]
+            steps.append(np.ptp(_interpolate(within, 1.0 / gamma[:, -2:], *at), axis=1))
+        before, *after = steps
+        changes[rows] = np.log(np.column_stack(after) / before[:, None])
+    return changes
+
+
+def _interpolate(within: Array, rates: Array, cell: IntArray, x: Array, width: Array) -> Array:
+    """Steps to places `x` of cells, by the steps in all cells and their rates at the edges of each."""
+    before = np.append(0.0, np.cumsum(within))
+    smooth = within[cell] * x * x * (3.0 - 2.0 * x)
+    bend = rates[cell, 0] * (1.0 - x) - rates[cell, 1] * x
+    return np.asarray(before[cell] + smooth + width * x * (1.0 - x) * bend)
 
 
 @dataclass(frozen=True)

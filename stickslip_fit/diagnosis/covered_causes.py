@@ -67,6 +67,8 @@ def find_covered(extension: Extension, level: float) -> tuple[SelectedCause, Ext
         if max(of_causes, default=-np.inf) < least - MAX_REFIT_GAIN:
             return None
     test = compute_evidence(plain, problem, names, effects)
+    if not test.hypotheses:
+        return None
     refits = refit_likeliest(problem, selected, test)
     following = make_selected(refits.misfit, form_cause_set(refits.misfit), refits.starts)
     if following.cause == UNKNOWN:

@@ -20,8 +20,8 @@ The p-value of a `Diagnosis` is min(1, p_outliers / 0.25, p_rest / 0.75), a weig
 correction for two tests. p_outliers is that of the likelihood ratio test in `noise.find_outliers`; p_rest
 is `compute_p_value(...).p_value` of the baseline's residuals, outlying counts removed: the share of
 bootstrap samples with at least the log's statistic, (1 + exceedances) / (1 + samples). There are no more
-samples once no decision depends on the rest: so many exceed the statistic, or it is far above 20 samples for
-each expected false alarm, or so far above 500 that these count as such. Where the noise was found
+samples once no decision depends on the rest: so many exceed the statistic, or it is so far above 500 of them
+that these count as 20 for each expected false alarm. Where the noise was found
 heteroscedastic or skewed from the same residuals, that share is doubled. `selection.select_causes` does both
 tests in this order.
 """
@@ -76,14 +76,12 @@ TAIL_DF = (5.0, 8.0, 15.0, 200.0)  # of Student t noise that is simulated
 # is so many nats above all bootstrap samples.
 MAX_DOUBTFUL_P_VALUE, MAX_DOUBTFUL_LOG_EVIDENCE = 0.05, 10.0
 SMOOTHING_SD = 0.2  # of resampled residuals, in units of the noise
-# Of the samples that a p-value without a factor has, after which there are no more if the statistic is as far
-# above all of them.
-CLEAR_SHARE = 2 / 3
 # Of few samples a single one would decide: with so few of them above the statistic, there are more.
 MIN_DECISIVE_SAMPLES, FEW_EXCEEDANCES = 1000, 5
-# Nats above all of so many samples at which more of them say nothing: in noise a Bayes factor is 1 on
-# average, so that it is K or more with a probability of at most 1 / K (Markov's inequality).
-EXTREME_LOG_EVIDENCE, FEW_SAMPLES = 30.0, 500
+# Samples after which more say nothing if the statistic is so many nats above them: in noise a Bayes factor is
+# 1 on average, so that it is K or more with a probability of at most 1 / K (Markov's inequality). They count
+# as this share of those that a p-value without a factor has.
+FEW_SAMPLES, CLEAR_LOG_EVIDENCE, CLEAR_SHARE = 500, 7.0, 2 / 3
 MIN_STUDENT_SAMPLES = 2000  # few samples would let one of them decide
 # Bootstrap samples at a time, and coefficients in them; for larger arrays the system clears memory each time.
 BATCH_SIZE, MAX_ELEMENTS = 250, 8_000_000
@@ -341,10 +339,9 @@ def compute_p_value(
     """The `misfit` of a fit with its p-value, from `n_bootstrap` samples of noise.
 
     After `max_exceedances` samples above the log's statistic the bootstrap ends (J. Besag and P.
-    Clifford, Biometrika 78:301, 1991), and where it is far above all of `CLEAR_SHARE` of the samples; where
-    it is extremely far above `FEW_SAMPLES`, those count as so many. All of this only ever makes the p-value
-    larger than that of all samples. `p_value_factor` is that of `Misfit`. Noise that is `skewed`, or rounded
-    by a `quantization`, is simulated as such.
+    Clifford, Biometrika 78:301, 1991), and where it is far above all of `FEW_SAMPLES`, which count as more.
+    Either only ever makes the p-value larger than that of all samples. `p_value_factor` is that of `Misfit`.
+    Noise that is `skewed`, or rounded by a `quantization`, is simulated as such.
     """
     hypotheses, own = misfit.hypotheses, misfit.log_evidence
     if not hypotheses:
@@ -366,9 +363,7 @@ def compute_p_value(
             above = statistic - null.max()
             if max_exceedances is None:
                 continue
-            if above > MAX_DOUBTFUL_LOG_EVIDENCE and len(null) >= enough:
-                break
-            if above > EXTREME_LOG_EVIDENCE and len(null) >= FEW_SAMPLES:
+            if above > CLEAR_LOG_EVIDENCE and len(null) >= FEW_SAMPLES:
                 return null, 1.0 / (1.0 + max(enough, len(null)))
             if int(np.sum(null[before:] >= statistic)) >= max_exceedances:
                 break

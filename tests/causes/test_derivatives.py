@@ -5,6 +5,7 @@ import pytest
 
 from stickslip_fit.causes import PayloadChange, SessionJump, extend
 from stickslip_fit.causes.added_steps import AddedSteps
+from stickslip_fit.causes.base import Cause
 from stickslip_fit.causes.proposed import NestedTerm, SmoothTerm
 from tests.causes.by_hand import ROWS, SECOND
 from tests.causes.table import CASES, LAWS, MACHINE, NAMED, own_values
@@ -88,6 +89,26 @@ def test_a_profile_beside_added_steps_changes_what_is_left_of_the_counts(label):
     extended = np.concatenate([values, np.tile(trials[0], (len(rows), 1))], axis=1)
     wanted = extend(law, cause).predict(rows, extended) - law.predict(rows, values)
     np.testing.assert_allclose(cause.changes(law, rows, values, trials[:1])[:, 0], wanted, atol=2e-11)
+
+
+@pytest.mark.parametrize("before", [(), ("guide-gradient", "end-stop-latency")], ids=" + ".join)
+@pytest.mark.parametrize("label", ["guide-gradient", "worn-spot"])
+def test_a_profile_over_many_stretches_changes_them_as_over_each(label, before):
+    """In both directions, some of them 10 µm long."""
+    rng, cause = np.random.default_rng(5), NAMED[label].cause
+    law, values = law_with(before, 3)
+    chosen = rng.integers(0, len(values), 400)
+    rows = ROWS[ROWS["joint"] == 3].iloc[chosen].reset_index(drop=True)
+    ends = np.sort(rng.uniform(0.0, 12e-3, (400, 2)), axis=1)
+    ends[:, 1] = np.where(np.arange(400) % 9, ends[:, 1], ends[:, 0] + 1e-5)
+    ends[::2] = ends[::2, ::-1]
+    direction = np.where(ends[:, 1] > ends[:, 0], "+", "-")
+    rows = rows.assign(start=ends[:, 0], stop=ends[:, 1], direction=direction)
+    versions = [(cause, np.array(NAMED[label].values)), *cause.trials(rows)]
+    for version, trials in versions:
+        found = version.changes(law, rows, values[:1].repeat(400, axis=0), trials)
+        wanted = Cause.changes(version, law, rows, values[:1].repeat(400, axis=0), trials)
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-5 * np.abs(wanted).max())
 
 
 def test_functions_of_sessions_act_on_all_joints_where_none_is_named():
