@@ -367,9 +367,10 @@ class ColumnDependence(CovariateCause, AddedTerm):
         return {"column": self.column, "opposite": super().quantities({})["opposite"]}
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `GenericCause`: a simple curve, and one that bends more."""
+        """See `GenericCause`: a straight line, a simple curve, and one that bends more."""
         most = min(FINE_ORDER, rows[self.column].nunique() - 1)
-        versions = [self, *([replace(self, order=most)] if most > self.order else [])]
+        orders = sorted({1, self.order, max(self.order, most)})
+        versions = [replace(self, order=order) for order in orders]
         return [(one, np.diag(one._sizes)) for one in versions]
 
     def with_functions(self, term: Any) -> Cause | None:

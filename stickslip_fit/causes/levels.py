@@ -37,7 +37,8 @@ from stickslip_fit.laws import Parameter, Rows, TableLaw
 from stickslip_fit.units import Z_95, Interval, TableUnit
 
 MIN_POOLED = 5  # labels whose effects have a common prior
-MAX_LEVELS, MIN_ROWS_PER_LEVEL = 12, 3  # of a column of integers, and for other parameters; rows, on average
+MAX_LEVELS, MIN_ROWS_PER_LEVEL = 12, 3  # of a column of integers; rows, on average
+MAX_OWN_PARAMETERS = 120  # of all labels together, where each has other parameters
 MAX_POOLED, MIN_ROWS_PER_POOLED = 60, 2  # of a column of texts
 MAX_CELLS = 150_000  # rows times labels of a column of more than `MAX_LEVELS` texts, which take half a minute
 MAX_NAMED = 12  # labels in a message
@@ -425,7 +426,7 @@ class LabelDependence(LevelDependence):
         n = len(levels)
         kinds: list[type[LevelCause]] = [PooledOffsets if n >= MIN_POOLED else LevelDependence]
         same_in_all_rows = set(self.law.right.names) <= set(self.law.parameter_names)  # and so are offsets
-        if not same_in_all_rows and n <= MAX_LEVELS and n * MIN_ROWS_PER_LEVEL <= len(rows):
+        if not same_in_all_rows and _may_have_parameters(n, self.law, rows):
             kinds.append(PooledParameters if n > 2 else ParametersByLevel)
         versions = [kind(**(vars(self) | {"levels": levels})) for kind in kinds]
         return [trial for one in versions for trial in one.trials(rows)]
@@ -444,12 +445,12 @@ class IntegerDependence(ColumnDependence):
     as_labels: LabelDependence
 
     def trials(self, rows: pd.DataFrame) -> list[tuple[Cause, Array]]:
-        """See `GenericCause`: a simple curve, and those of labels, as a curve that bends more is."""
+        """See `GenericCause`: a line, a simple curve, and those of labels, as a curve that bends more is."""
         labelled = self.as_labels.trials(rows)
         if len(self.as_labels.levels) == 2:  # the same but for the words
             return labelled
         quantity = ColumnDependence(**{one.name: getattr(self, one.name) for one in fields(ColumnDependence)})
-        return [*quantity.trials(rows)[:1], *labelled]
+        return [*quantity.trials(rows)[:2], *labelled]
 
     def with_functions(self, term: Any) -> None:
         """See `Cause.with_functions`: the labels are its most flexible form."""
@@ -460,7 +461,7 @@ def session_parameters(
 ) -> list[ParametersBySession]:
     """A cause for the parameters that sessions share, but for those that only add to the response."""
     levels, names = find_levels(rows["session"]), law.parameter_names
-    if not 1 < len(levels) <= MAX_LEVELS or len(levels) * MIN_ROWS_PER_LEVEL > len(rows):
+    if len(levels) < 2 or not _may_have_parameters(len(levels), law, rows):
         return []
     slopes, ones = np.nan_to_num(law.slopes_at_start(rows, y)), np.ones((len(rows), 1))
     shared = range(len(names) - law.n_shared, len(names))
@@ -476,6 +477,11 @@ def session_parameters(
         subset=subset,
     )
     return [own] if subset else []
+
+
+def _may_have_parameters(n_labels: int, law: TableLaw, rows: Rows) -> bool:
+    few = n_labels * len(law.parameter_names) <= MAX_OWN_PARAMETERS
+    return few and n_labels * MIN_ROWS_PER_LEVEL <= len(rows)
 
 
 def _rms_by_parameter(slopes: Array) -> tuple[float, ...]:

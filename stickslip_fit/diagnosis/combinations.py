@@ -22,6 +22,7 @@ from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR, form_cause_set
+from stickslip_fit.diagnosis.column_pairs import find_column_pair
 from stickslip_fit.diagnosis.covered_causes import find_covered
 from stickslip_fit.diagnosis.evidence import batch_hypotheses, column_evidence, strength_evidence
 from stickslip_fit.diagnosis.extension import (
@@ -101,6 +102,11 @@ def first_of_pair(
     pairs: list[tuple[float, list[SelectedCause]]] = []
     causes = misfit.rank_causes(PAIR_MIN_LOG_BAYES_FACTOR)[:MAX_PAIR_TRIALS]
     lacking = [np.inf]
+    if (pair_of_columns := find_column_pair(misfit, problem.linearize().df)) is not None:
+        cause, other, behind = pair_of_columns
+        if behind < 0:
+            return Search(Combination(make_selected(misfit, form_cause_set(misfit, cause)), (other,)), behind)
+        lacking.append(behind)
     if causes:
         # Linearized: the third of three causes adds no more than the second.
         added = _evidence_added(misfit, causes, problem.linearize().df)

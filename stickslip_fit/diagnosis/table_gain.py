@@ -1,8 +1,10 @@
-"""The gain of a table's diagnosis: errors on blocks of consecutive rows, or whole groups, held out.
+"""The gain of a table's diagnosis: errors on rows, blocks of consecutive rows or whole groups held out.
 
 Neighbouring values of a signal resemble each other, so that a held-out row between two that were kept
 would measure the signal's smoothness, not the law: what is held out is long against the autocorrelation
-time (J. Racine, J. Econometrics 99:39, 2000). A block without which a parameter or a cause would no longer
+time (J. Racine, J. Econometrics 99:39, 2000). Where no column is the time, the order of independent rows
+means nothing and rows are held out at random: blocks of a sorted table would be half a group, or an end of
+a column. A block without which a parameter or a cause would no longer
 be determined stays in training; so does the last block of a label whose own offset or parameters are in the
 law, as a law with values for each label is made for labels that are known. Whole groups or sessions are held
 out with all their labels. Errors are those of the response, not of its innovations.
@@ -42,6 +44,7 @@ from stickslip_fit.diagnosis.selection import Selection
 CORRELATION_TIMES = 10.0  # least length of a block
 MIN_BLOCKS, MAX_BLOCKS = 10, 50  # over all rows
 MIN_SEQUENCE_BLOCKS = 4  # of each sequence, whose own parameters the others tell
+MAX_SETS = 500  # of rows at random; more would only take longer to deal
 
 
 def measure_table_gain(
@@ -56,7 +59,8 @@ def measure_table_gain(
     """Measure what each finding, and all of them together, gain on held-out rows.
 
     Held out are whole groups, where the table has them and the law can be known without one; else blocks of
-    consecutive rows. New sessions are held out where the law has no parameter of its own for each.
+    consecutive rows, or rows at random where no column is the time. New sessions are held out where the law
+    has no parameter of its own for each.
 
     Returns
     -------
@@ -103,7 +107,10 @@ def measure_table_gain(
         measured = estimate(pd.factorize(problem.rows[groups])[0], f"whole groups ({groups})")
     if measured is None:
         labels = _number_labels(selection)
-        measured = estimate(*number_time_blocks(problem.rows, table.correlation_rows, labels), labels)
+        if table.roles.get("time") or table.is_correlated:
+            measured = estimate(*number_time_blocks(problem.rows, table.correlation_rows, labels), labels)
+        else:
+            measured = estimate(*number_rows(len(problem)), labels)
     sessions = pd.factorize(problem.rows["session"].astype(object))[0]
     is_shared = all(part.values.shape[1] == problem.n_shared for part in problem.parts)
     if is_shared and groups != table.roles.get("session") and sessions.max() + 1 >= MIN_SESSIONS:
@@ -143,6 +150,12 @@ def _number_labels(selection: Selection) -> list[IntArray]:
     """A number for each label of the columns whose labels have values of their own in the law; each (n,)."""
     columns = [one.version.column for one in selection.law_causes if isinstance(one.version, LevelCause)]
     return [pd.factorize(name_levels(selection.problem.rows[column]))[0] for column in columns]
+
+
+def number_rows(n: int) -> tuple[IntArray, str]:
+    """A number for each row, shape (n,), or for sets of rows at random if there are many; and the words."""
+    kinds = np.random.default_rng(FOLD_SEED).permutation(n) % min(n, MAX_SETS)
+    return kinds, "single rows" if n <= MAX_SETS else "rows drawn at random"
 
 
 def number_time_blocks(

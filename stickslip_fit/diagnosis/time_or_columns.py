@@ -47,6 +47,8 @@ def prefer_columns(problem: DiagnosisProblem, found: Diagnosis, search: Search) 
         return found
     if not any(_is_flexible_in_time(one.version) for one in found.selection.law_causes):
         return found
+    if not _has_columns(problem.causes, alternatives):
+        return found
     waves = [one.version for one in found.selection.law_causes if isinstance(one.version, PeriodicTime)]
     settings = _settings(problem, alternatives)
     aliased = [wave for wave in waves if settings and _repeats_with(problem.rows, wave, settings)]
@@ -62,6 +64,12 @@ def prefer_columns(problem: DiagnosisProblem, found: Diagnosis, search: Search) 
         notes = (*other.notes, *(_describe_alias(wave, settings) for wave in aliased))
         return replace(other, notes=notes, p_value=max(found.p_value, other.p_value))
     return found
+
+
+def _has_columns(causes: Sequence[Any], alternatives: TableAlternatives) -> bool:
+    """Whether the response may depend on anything but time."""
+    known = alternatives.columns or alternatives.halves or alternatives.roles.direction
+    return bool(known) or any(set(one.columns) - {"session_seconds"} for one in causes)
 
 
 def _settings(problem: DiagnosisProblem, alternatives: TableAlternatives) -> list[str]:

@@ -10,7 +10,7 @@ import stickslip_fit as ssf
 from stickslip_fit.causes.generic import ColumnDependence
 from stickslip_fit.diagnosis import gain, table_gain
 from stickslip_fit.diagnosis.cross_validation import select_from_training
-from stickslip_fit.diagnosis.table_gain import hold_out_kinds, number_time_blocks
+from stickslip_fit.diagnosis.table_gain import hold_out_kinds, number_rows, number_time_blocks
 from tests.table.bench import BY_DIRECTION, CUBIC, LAW, bench, design
 
 
@@ -28,8 +28,9 @@ def splits_of(diagnosis, kinds):
     return [(split.train, split.held_out) for split in folds]
 
 
-def test_blocks_of_rows_are_held_out_and_predicted_as_by_hand(independent):
-    kinds, _ = number_time_blocks(independent.selection.problem.rows, 1.0)
+def test_rows_are_held_out_and_predicted_as_by_hand(independent):
+    kinds, words = number_rows(len(independent.selection.problem))
+    assert words == independent.gain.held_out == "single rows"
     splits, frame = splits_of(independent, kinds), bench(1)
     for train, held in splits:
         assert not {*train} & {*held}
@@ -120,6 +121,28 @@ def test_new_sessions_are_predicted_where_all_parameters_are_shared():
     assert sessions(()).gain_new_session is None
 
 
+def test_of_many_rows_sets_at_random_are_held_out():
+    kinds, words = number_rows(1234)
+    sizes = np.bincount(kinds)
+    assert (len(sizes), set(sizes)) == (500, {2, 3})
+    assert np.abs(np.corrcoef(kinds, np.arange(1234))[0, 1]) < 0.1
+    assert "at random" in words
+
+
+def test_without_a_time_the_order_of_rows_changes_no_gain():
+    """In a table sorted by what the law lacks, blocks of rows would be half of a label, or an end of x."""
+    rng = np.random.default_rng(4)
+    x, who = np.tile(np.linspace(0.0, 1.0, 10), 12), np.repeat(np.arange(12), 10)
+    slope = 1.0 + rng.standard_normal(12)[who]
+    table = pd.DataFrame({"x": x, "who": [f"w{k}" for k in who], "y": slope * x + rng.normal(0.0, 0.1, 120)})
+    in_order, at_random = (
+        ssf.diagnose_table(frame, "y ~ a + b*x").gain
+        for frame in (table, table.sample(frac=1.0, random_state=1).reset_index(drop=True))
+    )
+    assert in_order.extended == pytest.approx(at_random.extended, rel=0.15)
+    assert in_order.extended < 0.13
+
+
 @pytest.mark.slow
 def test_a_row_without_which_a_parameter_is_unknown_stays_in_training():
     frame = bench(1)
@@ -131,7 +154,7 @@ def test_a_row_without_which_a_parameter_is_unknown_stays_in_training():
         generic_causes=(),
         gain=False,
     )
-    kinds, _ = number_time_blocks(diagnosis.selection.problem.rows, 1.0)
+    kinds, _ = number_rows(len(frame))
     held = np.concatenate([held for _, held in splits_of(diagnosis, kinds)])
     assert 7 not in held
     assert len(held) == len(frame) - np.sum(kinds == kinds[7])
