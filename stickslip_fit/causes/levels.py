@@ -479,9 +479,13 @@ def session_parameters(
     return [own] if subset else []
 
 
+def most_labels(law: TableLaw) -> int:
+    """How many labels may have other parameters of a law."""
+    return MAX_OWN_PARAMETERS // max(len(law.parameter_names), 1)
+
+
 def _may_have_parameters(n_labels: int, law: TableLaw, rows: Rows) -> bool:
-    few = n_labels * len(law.parameter_names) <= MAX_OWN_PARAMETERS
-    return few and n_labels * MIN_ROWS_PER_LEVEL <= len(rows)
+    return n_labels <= most_labels(law) and n_labels * MIN_ROWS_PER_LEVEL <= len(rows)
 
 
 def _rms_by_parameter(slopes: Array) -> tuple[float, ...]:

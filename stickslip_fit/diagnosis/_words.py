@@ -21,7 +21,7 @@ from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, DataInfo, Finding, Gain
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import compute_shape, fitted_effect
-from stickslip_fit.diagnosis.selection import MAX_CAUSES, allocate_alpha
+from stickslip_fit.diagnosis.selection import allocate_alpha
 from stickslip_fit.diagnosis.withdrawal import explain_unsupported
 from stickslip_fit.laws.published import name_of_laws
 
@@ -74,14 +74,14 @@ class Words(ABC):
     def tell_rest(self) -> list[str]:
         """What is left after all findings, or may be where that is not unlikely, as a sentence."""
         diagnosis, selection = self.diagnosis, self.diagnosis.selection
-        last, outliers = selection.last_misfit, selection.problem.outlier_cause
-        searched = [one for one in selection.selected if one.cause != outliers]
-        if len(searched) == MAX_CAUSES and last.p_value < allocate_alpha(diagnosis.alpha):
+        last, most = selection.last_misfit, selection.problem.max_causes
+        searched = [one for one in selection.selected if one.cause != selection.problem.outlier_cause]
+        if len(searched) == most and last.p_value < allocate_alpha(diagnosis.alpha):
             cause = form_cause_set(last).cause
             follows = "structure without a name" if cause == UNKNOWN else self.name_cause(cause)
             return [
                 f"There is more (p {format_p_value(last.p_value, relation=True)}), but the search ends after "
-                f"{MAX_CAUSES} findings; {follows} would be next. Put what was found into the law, and "
+                f"{most} findings; {follows} would be next. Put what was found into the law, and "
                 "diagnose again."
             ]
         probability = diagnosis.inclusion.get(UNKNOWN) or 0.0

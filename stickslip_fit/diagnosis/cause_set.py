@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,6 +52,17 @@ class CauseSet:
             rivals=(*self.rivals, *new),
             probability=self.probability | dict.fromkeys((self.cause, *new), share),
             by_refit=tuple(dict.fromkeys((*self.by_refit, *rivals))),
+        )
+
+    def without_rivals(self, names: Collection[str]) -> CauseSet:
+        """The set without some rivals, whose probability is the cause's."""
+        gone = [rival for rival in self.rivals if rival in names]
+        taken = sum(self.probability.get(one, 0.0) for one in (self.cause, *gone))
+        return replace(
+            self,
+            rivals=tuple(rival for rival in self.rivals if rival not in gone),
+            probability=self.probability | dict.fromkeys(gone, 0.0) | {self.cause: taken},
+            by_refit=tuple(rival for rival in self.by_refit if rival not in gone),
         )
 
 

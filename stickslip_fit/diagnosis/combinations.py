@@ -102,11 +102,11 @@ def first_of_pair(
     pairs: list[tuple[float, list[SelectedCause]]] = []
     causes = misfit.rank_causes(PAIR_MIN_LOG_BAYES_FACTOR)[:MAX_PAIR_TRIALS]
     lacking = [np.inf]
-    if (pair_of_columns := find_column_pair(misfit, problem.linearize().df)) is not None:
-        cause, other, behind = pair_of_columns
-        if behind < 0:
-            return Search(Combination(make_selected(misfit, form_cause_set(misfit, cause)), (other,)), behind)
-        lacking.append(behind)
+    if (of_columns := find_column_pair(misfit, problem.linearize().df)) is not None:
+        first = make_selected(misfit, form_cause_set(misfit, of_columns.causes[0]))
+        if of_columns.behind < 0:
+            return Search(Combination(first, of_columns.causes[1:]), of_columns.behind)
+        lacking.append(of_columns.behind)
     if causes:
         # Linearized: the third of three causes adds no more than the second.
         added = _evidence_added(misfit, causes, problem.linearize().df)
@@ -484,27 +484,6 @@ def _without(misfit: Misfit, cause: str) -> Array:
     """The residuals without all that a cause's likeliest shape explains, shape (n,)."""
     shape = misfit.best_subspace(cause)
     return np.asarray(misfit.residual - shape.explain(misfit.residual))
-
-
-def name_combinations(
-    selected: Sequence[SelectedCause], combinations: Sequence[Sequence[str]]
-) -> list[SelectedCause]:
-    """The selected causes, each with those of its combinations that were selected as well.
-
-    Structure without a name would have been found by itself.
-    """
-    names = [one.cause for one in selected]
-    return [
-        replace(
-            one,
-            together_with=tuple(
-                name
-                for name in names
-                if name != one.cause != UNKNOWN and any({name, one.cause} <= {*some} for some in combinations)
-            ),
-        )
-        for one in selected
-    ]
 
 
 def revise_causes(

@@ -141,6 +141,28 @@ def name_explained(selected: Sequence[SelectedCause]) -> list[str]:
     return names
 
 
+def name_combinations(
+    selected: Sequence[SelectedCause], combinations: Sequence[Sequence[str]]
+) -> list[SelectedCause]:
+    """The selected causes, each with those of its combinations that were selected, which are no rivals of it.
+
+    Structure without a name would have been found by itself.
+    """
+    names = [one.cause for one in selected]
+    return [
+        replace(
+            one,
+            cause_set=one.cause_set.without_rivals(names),
+            together_with=tuple(
+                name
+                for name in names
+                if name != one.cause != UNKNOWN and any({name, one.cause} <= {*some} for some in combinations)
+            ),
+        )
+        for one in selected
+    ]
+
+
 def assess_residuals(
     linearized: LinearizedFit,
     problem: DiagnosisProblem,

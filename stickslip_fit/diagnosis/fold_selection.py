@@ -15,6 +15,7 @@ import numpy as np
 
 from stickslip_fit._typing import IntArray
 from stickslip_fit.diagnosis.cause_set import form_cause_set
+from stickslip_fit.diagnosis.column_pairs import find_column_pair, find_new_column
 from stickslip_fit.diagnosis.combinations import PAIR_LOG_PENALTY
 from stickslip_fit.diagnosis.extension import (
     Extension,
@@ -188,11 +189,24 @@ class Looks:
         to_beat = evidence.get(UNKNOWN, -np.inf) + CLEAR_NAME
         if max(evidence.get(one.cause, -np.inf) for one in causes if one.cause != UNKNOWN) > to_beat:
             return True
+        if self._is_of_columns(place, without):
+            return True
         if place + 1 == len(causes):
             return False
         second = self.naming[place + 1].without(rows).log_evidence_by_cause
         pair = evidence.get(causes[place].cause, -np.inf) + second.get(causes[place + 1].cause, -np.inf)
         return pair > to_beat + PAIR_LOG_PENALTY
+
+    def _is_of_columns(self, place: int, without: Misfit) -> bool:
+        """Whether causes in the law are selected since unknown structure follows their columns."""
+        causes = [one for one in self.selection.law_causes if one.cause != UNKNOWN]
+        names, earlier = {one.cause for one in causes}, self.selection.law_causes[:place]
+        known = {column for one in earlier if one.cause != UNKNOWN for column in one.version.columns}
+        if (new := find_new_column(without, known)) is not None:
+            return new in names
+        df = int(np.count_nonzero(without.residual)) - self.naming[place].basis.shape[1]
+        pair = find_column_pair(without, df)
+        return pair is not None and pair.behind < -CLEAR_NAME and names.issuperset(pair.causes)
 
     def _is_clear(
         self, look: Look, without: Misfit, cause: str, rows: IntArray, *, was_revised: bool

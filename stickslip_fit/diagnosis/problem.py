@@ -88,6 +88,8 @@ class DiagnosisProblem:
         Of the noise of a sampled signal; None for rows that are no such signal.
     outlier_cause : str
         Name of the cause of outlying rows.
+    max_causes : int
+        After which the search for more ends.
     smooth_columns : array, shape (n, k)
         Columns of numbers in which effects are smooth: rows next to each other there resemble each other.
     n_refits : int
@@ -123,6 +125,7 @@ class DiagnosisProblem:
     n_shared: int = 0
     autocorrelation: Autocorrelation | None = None
     outlier_cause: str = "outliers"
+    max_causes: int = 4
     smooth_columns: Array = field(default_factory=lambda: np.zeros((0, 0)))
     n_refits: int = 0
     trimmed: bool = False

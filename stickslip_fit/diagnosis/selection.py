@@ -23,6 +23,7 @@ from stickslip_fit._typing import Array, IntArray
 from stickslip_fit.causes.proposed import CarryOverTerm
 from stickslip_fit.diagnosis.baseline import reduce_noise, reestimate_noise
 from stickslip_fit.diagnosis.cause_set import CauseSet, form_cause_set
+from stickslip_fit.diagnosis.column_pairs import find_new_column
 from stickslip_fit.diagnosis.combinations import (
     PAIR_MIN_LOG_BAYES_FACTOR,
     find_beside_unknown,
@@ -30,7 +31,6 @@ from stickslip_fit.diagnosis.combinations import (
     find_in_part,
     find_needless,
     first_of_pair,
-    name_combinations,
     revise_causes,
 )
 from stickslip_fit.diagnosis.covered_causes import find_covered, is_collinear, is_open
@@ -47,6 +47,7 @@ from stickslip_fit.diagnosis.extension import (
     extend_problem,
     law_causes,
     make_selected,
+    name_combinations,
     name_explained,
     try_extension,
     weigh_causes,
@@ -72,7 +73,6 @@ from stickslip_fit.diagnosis.refits import Refits, refit_likeliest
 from stickslip_fit.estimation.result import OUTLYING_SD
 from stickslip_fit.units import Z_95
 
-MAX_CAUSES = 4
 # Of functions of sessions, and rows for each of them: beside more, too little is left to tell causes by.
 MAX_OWN_PARAMETERS, ROWS_PER_PARAMETER = 24, 6
 # Bootstrap samples above the statistic, after which a test ends: where a diagnosis's p-value is below its
@@ -256,12 +256,13 @@ class _ForwardSelection:
 
     def add_causes(self) -> None:
         """Add causes until nothing is left to be found."""
-        while self.last.p_value < self.level and len(self.selected) < MAX_CAUSES and self.add_cause():
+        most = self.extension.problem.max_causes
+        while self.last.p_value < self.level and len(self.selected) < most and self.add_cause():
             pass
 
     def add_covered(self) -> bool:
         """Add a cause that other forms of the selected ones cover in the last test; whether there is one."""
-        if self.last.p_value < self.level or len(self.selected) == MAX_CAUSES:
+        if self.last.p_value < self.level or len(self.selected) == self.extension.problem.max_causes:
             return False
         if (found := find_covered(self.extension, self.level)) is None:
             return False
@@ -321,6 +322,10 @@ class _ForwardSelection:
         if single.found is not None:
             self.last = last = single.found
             following = make_selected(last, form_cause_set(last))
+        if following.cause == UNKNOWN:
+            causes = [one.version for one in self.selected if one.cause != UNKNOWN]
+            new = find_new_column(last, {column for one in causes for column in one.columns})
+            following = following if new is None else make_selected(last, form_cause_set(last, new))
         if following.cause == UNKNOWN:
             pairs = first_of_pair(problem, self.selected, last)
             ahead_of_pairs = min(single.behind, pairs.behind)

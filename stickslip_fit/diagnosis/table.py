@@ -26,7 +26,7 @@ from stickslip_fit.causes import table_library
 from stickslip_fit.causes.empty_cells import leave_out_gaps
 from stickslip_fit.causes.generic import SessionOffset
 from stickslip_fit.causes.late_columns import with_late_columns
-from stickslip_fit.causes.levels import MAX_LEVELS, ParametersBySession
+from stickslip_fit.causes.levels import ParametersBySession, most_labels
 from stickslip_fit.causes.roles import ROW_NUMBER, TableRoles, prepare_rows
 from stickslip_fit.causes.times import find_times
 from stickslip_fit.diagnosis.autocorrelation import number_samples
@@ -62,6 +62,7 @@ MAX_RATIO = 1e15  # of a response to their median, beside which the others are l
 MIN_RELATIVE_SD, ROUNDING = 1e-9, 1e-13
 NO_TIME = "no column was named as the time; "
 N_REFITS = 4
+MAX_CAUSES = 8  # a table may have many columns
 NO_POSITION = "no column was named as the position"
 NO_DIRECTION = "no column was named as the direction"
 
@@ -272,6 +273,7 @@ def problem_from_table(
         noise_ratio=np.ones(len(rows)),
         n_shared=bound.n_shared,
         outlier_cause="outliers",
+        max_causes=MAX_CAUSES,
         smooth_columns=rows[list(alternatives.columns)].to_numpy(float),
         n_refits=N_REFITS,
         least_sd=least_sd,
@@ -381,7 +383,7 @@ def _explain_missing(rows: pd.DataFrame, law: Any, roles: TableRoles) -> dict[st
     sessions = rows["session"].nunique() if law.n_shared else 0
     for name, most, own in (
         (SessionOffset.base_name, table_library.MAX_SESSIONS, "an offset each"),
-        (ParametersBySession.base_name, MAX_LEVELS, "parameters of their own"),
+        (ParametersBySession.base_name, most_labels(law), "parameters of their own"),
     ):
         if sessions > most:
             missing[name] = f"the table has {sessions:,} sessions, and at most {most} can have {own}"

@@ -220,11 +220,30 @@ def test_one_of_several_sessions_with_another_parameter_is_told_and_saved(tmp_pa
 
 
 @pytest.mark.slow
+def test_many_labels_have_other_parameters_as_in_a_mixed_model():
+    """Of 24 labels with lines of their own, in noise whose size a mixed model estimates."""
+    rng = np.random.default_rng(2)
+    who, x = np.repeat(np.arange(24), 8), np.tile(np.arange(8.0), 24)
+    a, b = 5.0 + rng.standard_normal(24), 1.0 + 0.4 * rng.standard_normal(24)
+    y = a[who] + b[who] * x + 0.5 * rng.standard_normal(len(x))
+    frame = pd.DataFrame({"x": x, "who": [f"w{k}" for k in who], "y": y})
+    diagnosis = ssf.diagnose_table(frame, LINE)
+    (finding,) = diagnosis.findings
+    assert "other parameters for each who" in " ".join(str(diagnosis).split())
+    mixed = smf.mixedlm("y ~ x", frame, groups="who", re_formula="~x").fit()
+    assert diagnosis.gain.noise_floor == pytest.approx(np.sqrt(mixed.scale), rel=0.06)
+    slopes = {one.name: one.size.estimate for one in finding.parameters if one.name.startswith("b[")}
+    expected = {f"b[{who}]": effect["x"] for who, effect in mixed.random_effects.items()}
+    assert set(slopes) == set(expected)
+    assert [slopes[name] for name in expected] == pytest.approx(list(expected.values()), abs=0.08)
+
+
+@pytest.mark.slow
 def test_an_offset_of_one_session_is_no_other_parameter():
     assert named_in(springs(5, higher=0.05)).cause == "offset-by-session"
 
 
 @pytest.mark.slow
 def test_more_sessions_than_may_have_parameters_of_their_own_are_told():
-    found = ssf.diagnose_table(springs(13), "F ~ k*x + F0", session="day", shared="all", gain=False)
-    assert found.untestable["parameters-by-session"].startswith("the table has 13 sessions, and at most 12")
+    found = ssf.diagnose_table(springs(61), "F ~ k*x + F0", session="day", shared="all", gain=False)
+    assert found.untestable["parameters-by-session"].startswith("the table has 61 sessions, and at most 60")
