@@ -69,7 +69,7 @@ def prefer_columns(problem: DiagnosisProblem, found: Diagnosis, search: Search) 
 def _has_columns(causes: Sequence[Any], alternatives: TableAlternatives) -> bool:
     """Whether the response may depend on anything but time."""
     known = alternatives.columns or alternatives.halves or alternatives.roles.direction
-    return bool(known) or any(set(one.columns) - {"session_seconds"} for one in causes)
+    return bool(known) or any(set(one.columns) - {"session", "session_seconds"} for one in causes)
 
 
 def _settings(problem: DiagnosisProblem, alternatives: TableAlternatives) -> list[str]:

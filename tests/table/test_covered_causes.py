@@ -1,11 +1,15 @@
 """A second cause that bends the response as other forms of the first one do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import binom
 
 import stickslip_fit as ssf
+from stickslip_fit.diagnosis.covered_causes import find_covered
+from stickslip_fit.diagnosis.extension import extend_problem
 
 BOWL = ssf.Cause("bowl", "+ a*x**2", "a in 1")
 QUARTIC = ssf.Cause("quartic", "+ s*x**4", "s in 1")  # as the square of a bowl
@@ -43,3 +47,16 @@ def test_a_cause_like_the_square_of_another_is_found_beside_it(number):
 def test_a_bowl_alone_has_nothing_beside_it(number):
     wrong = sum([one.cause for one in diagnose(seed, 0.0).findings] != ["bowl"] for seed in range(number))
     assert wrong <= binom.ppf(0.99, number, 0.01)
+
+
+def test_without_another_cause_nothing_is_covered():
+    """As in a table of nothing but the time, whose causes are all in the law or count as known beside it."""
+    signal = table(0, SIZES["s"]).assign(t=np.arange(200.0))
+    found = ssf.diagnose_table(signal, "y ~ c + b*x", time="t", causes=[BOWL, QUARTIC], gain=False)
+    problem, (bowl, _) = found.selection.problem, found.selection.law_causes
+    covered = find_covered(extend_problem(problem, [bowl]), 0.01)
+    assert covered is not None
+    assert covered[0].cause == "quartic"
+    alone = replace(problem, causes=problem.causes[:1], alternatives=lambda linearized: ())
+    assert [cause.name for cause in alone.causes] == ["bowl"]
+    assert find_covered(extend_problem(alone, [bowl]), 0.01) is None

@@ -13,6 +13,7 @@ import stickslip_fit as ssf
 from stickslip_fit.diagnosis.autocorrelation import estimate_noise
 from stickslip_fit.diagnosis.restricted_likelihood import RestrictedLikelihood
 from stickslip_fit.diagnosis.table import problem_from_table
+from stickslip_fit.diagnosis.time_or_columns import prefer_columns
 
 
 def diagnose(y, t, law="y ~ c", **options):
@@ -301,3 +302,21 @@ def test_a_wave_is_named_where_settings_come_in_any_order():
     found = ssf.diagnose_table(loading_cycles(0, in_order=False), "F ~ F0 + k*x", time="order", gain=False)
     assert "periodic-in-time" in names(found)
     assert not any("comes back every" in one for one in found.notes)
+
+
+@pytest.mark.parametrize(
+    "columns", [{}, {"c": np.random.default_rng(2).standard_normal(200)}], ids=["time", "c"]
+)
+def test_only_where_there_are_columns_a_wave_is_compared_with_what_these_do(columns):
+    rng, t = np.random.default_rng(1), np.arange(200.0)
+    y = 3.0 + 0.3 * np.sin(2 * np.pi * t / 17) + 0.1 * rng.standard_normal(200)
+    found = ssf.diagnose_table(pd.DataFrame({"t": t, "y": y, **columns}), "y ~ a", time="t", gain=False)
+    assert [one.cause for one in found.findings] == ["periodic-in-time"]
+    searched = []
+
+    def search(problem):
+        searched.append(problem)
+        return found
+
+    prefer_columns(found.selection.problem, found, search)
+    assert len(searched) == len(columns)
