@@ -55,6 +55,7 @@ FUNCTIONS: dict[str, tuple[Numpy, Derivatives]] = {
     "sqrt": (np.sqrt, lambda f, x: (0.5 / f["sqrt"](x),)),
     "exp": (np.exp, lambda f, x: (f["exp"](x),)),
     "log": (np.log, lambda f, x: (1 / x,)),
+    "log10": (np.log10, lambda f, x: (1 / (np.log(10.0) * x),)),
     "log1p": (np.log1p, lambda f, x: (1 / (1 + x),)),
     "expm1": (np.expm1, lambda f, x: (f["exp"](x),)),
     "sin": (np.sin, lambda f, x: (f["cos"](x),)),

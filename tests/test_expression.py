@@ -20,6 +20,7 @@ BY_HAND = {
     "a + b*x - y/2": lambda x, y, a, b: a + b * x - y / 2,
     "-x**2 + (-x)**3": lambda x, y, a, b: -(x**2) + (-x) ** 3,
     "a*exp(-x/b) + log(x) + sqrt(x)": lambda x, y, a, b: a * np.exp(-x / b) + np.log(x) + np.sqrt(x),
+    "a*log10(b*x)": lambda x, y, a, b: a * np.log10(b * x),
     "sin(a*x)*cos(b*y) + tan(x*b)": lambda x, y, a, b: np.sin(a * x) * np.cos(b * y) + np.tan(x * b),
     "arcsin(b*y) + arccos(b*x) + arctan(a*y)": (
         lambda x, y, a, b: np.arcsin(b * y) + np.arccos(b * x) + np.arctan(a * y)

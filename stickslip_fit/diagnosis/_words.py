@@ -33,7 +33,7 @@ MIN_CORRELATION = 0.5  # of an effect with a column, to be told as rising or fal
 MIN_LEFT = 1e-3  # of a column's spread, of which less is rounding
 MIN_BULGE = 0.25  # of its range, by which it is larger or smaller at middle values
 MIN_REST = 0.3  # probability of structure without a name beside what is named, to be told
-MIN_SHARE = 0.05  # of a structure that its closest cause explains, to be told
+MIN_SHARE, NEARLY_ALL = 0.05, 0.9  # of a structure that its closest cause explains, to be told
 
 
 @dataclass(frozen=True)
@@ -143,14 +143,16 @@ class Words(ABC):
             return ". Besides that: ".join([first, *map(lower_first, others)])
         text = (
             f"What the law leaves of {self.info.response}, {self.format_rms(finding)}, "
-            f"{self.describe_carrier(finding.carrier)}, "
+            f"{self.describe_carrier(finding.carrier)}"
         )
         if finding.carrier.endswith(TO_SOME_EXTENT):
-            return f"{text}but by the evidence of one or two {self.info.row}s, so that no cause is named"
-        text += f"and has the shape of no cause that was searched{self.describe_way(finding)}"
-        if not finding.closest or share_by_equation(finding, finding.closest) < MIN_SHARE:
-            return text
-        return f"{text}; the closest, {finding.closest}, {describe_share(finding, finding.closest)}"
+            return f"{text}, but by the evidence of one or two {self.info.row}s, so that no cause is named"
+        way, share = self.describe_way(finding), share_by_equation(finding, finding.closest)
+        closest = f"the closest cause, {finding.closest}, {describe_share(finding, finding.closest)}"
+        if finding.closest and share > NEARLY_ALL:
+            return f"{text}{way}; {closest}, but is less likely"
+        text += f", and has the shape of no cause that was searched{way}"
+        return text if not finding.closest or share < MIN_SHARE else f"{text}; {closest}"
 
     def describe_way(self, finding: Finding) -> str:
         """Which way the response goes with the column that a finding follows, as the end of a sentence.

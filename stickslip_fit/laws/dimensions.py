@@ -186,7 +186,7 @@ class _Dimensions:
         unit = self._same(*arguments)
         if name == "sqrt":
             return _ANY if unit is _ANY else unit**0.5
-        return _ANY if name == "log" else self._number()
+        return _ANY if name in ("log", "log10") else self._number()
 
     def _require_number(self, name: str, node: ast.expr, unit: str = "a number without a unit") -> None:
         own = self.unit(node)
