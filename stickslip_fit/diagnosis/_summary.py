@@ -56,7 +56,7 @@ def write_headline(diagnosis: Diagnosis) -> list[str]:
     """Sentences: what is wrong, what to do about it, what else is wrong, and how much the data tell."""
     words = find_words(diagnosis)
     if diagnosis.findings:
-        told = [*words.tell_findings(), *words.tell_rest()]
+        told = [*words.tell_findings(), *words.tell_cancelling(), *words.tell_rest()]
     else:
         told = [*words.tell_no_finding(), words.describe_untestable()]
     return [*words.flags(), *told, *words.notes()]

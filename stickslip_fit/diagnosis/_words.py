@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,9 +20,10 @@ from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis._unknown_summary import describe_lag, describe_share, share_by_equation
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, DataInfo, Finding, Gain
+from stickslip_fit.diagnosis.linearized import rms
 from stickslip_fit.diagnosis.misfit import UNKNOWN
 from stickslip_fit.diagnosis.residuals import compute_shape, fitted_effect
-from stickslip_fit.diagnosis.selection import allocate_alpha
+from stickslip_fit.diagnosis.selection import MAX_LEFT_OF_BOTH, allocate_alpha
 from stickslip_fit.diagnosis.withdrawal import explain_unsupported
 from stickslip_fit.laws.published import name_of_laws
 
@@ -94,6 +96,24 @@ class Words(ABC):
             "In what that leaves there may be structure without a name, with a probability of "
             f"{100 * probability:.0f} %{found} (p {format_p_value(last.p_value, relation=True)})."
         ]
+
+    def tell_cancelling(self) -> list[str]:
+        """Which named causes undo each other nearly, as sentences."""
+        selection = self.diagnosis.selection
+        in_law = {id(one.version) for one in selection.law_causes}
+        named = [one for one in self.diagnosis.findings if one.cause != UNKNOWN and id(one.version) in in_law]
+        effects = [fitted_effect(selection, one.version) for one in named]
+        told = []
+        for (one, own), (other, opposite) in combinations(zip(named, effects, strict=True), 2):
+            together, smaller = rms(own + opposite), min(rms(own), rms(opposite))
+            if together < MAX_LEFT_OF_BOTH * smaller:
+                share = 100 * together / smaller
+                told.append(
+                    f"The effects of {one.cause} and {other.cause} nearly cancel: together they are "
+                    f"{share:.2g} % of the smaller one. What they do together is known far better than how "
+                    "large each is."
+                )
+        return told
 
     def flags(self) -> list[str]:
         """What is doubtful of the law itself."""

@@ -62,7 +62,7 @@ MAX_RATIO = 1e15  # of a response to their median, beside which the others are l
 MIN_RELATIVE_SD, ROUNDING = 1e-9, 1e-13
 NO_TIME = "no column was named as the time; "
 N_REFITS = 4
-MAX_CAUSES = 8  # a table may have many columns
+MAX_CAUSES = 6  # a table may have many columns
 NO_POSITION = "no column was named as the position"
 NO_DIRECTION = "no column was named as the direction"
 

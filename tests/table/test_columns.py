@@ -63,10 +63,20 @@ def test_columns_that_act_by_themselves_and_by_a_product_are_both(seed):
 @pytest.mark.slow
 def test_columns_beyond_the_end_of_the_search_are_told():
     diagnosis = ssf.diagnose_table(
-        table(3, lambda frame: 0.2 * frame[[f"c{k}" for k in range(10)]].sum(axis=1), 10), LAW, gain=False
+        table(3, lambda frame: 0.2 * frame[[f"c{k}" for k in range(8)]].sum(axis=1), 8), LAW, gain=False
     )
     named = {one.cause for one in diagnosis.findings}
-    assert len(named) == 8
+    assert len(named) == 6
     text = " ".join(str(diagnosis).split())
     assert "There is more" in text
-    assert "the search ends after 8 findings" in text
+    assert "the search ends after 6 findings" in text
+
+
+@pytest.mark.parametrize(("apart", "cancel"), [(0.05, True), (1.0, False)])
+def test_columns_whose_effects_cancel_are_told(apart, cancel):
+    """The second column is the first one but for a small part, and acts the other way."""
+    frame = table(0, lambda frame: 0.1 * frame["c0"] - 3.0 * apart * frame["c1"], 2)
+    frame["c1"] = frame["c0"] + apart * frame["c1"]
+    diagnosis = ssf.diagnose_table(frame, LAW, gain=False)
+    assert {one.cause for one in diagnosis.findings[:2]} == {"covariate:c0", "covariate:c1"}
+    assert ("nearly cancel: together they are" in " ".join(str(diagnosis).split())) == cancel
