@@ -102,8 +102,9 @@ class Words(ABC):
         selection = self.diagnosis.selection
         in_law = {id(one.version) for one in selection.law_causes}
         named = [one for one in self.diagnosis.findings if one.cause != UNKNOWN and id(one.version) in in_law]
-        effects = [fitted_effect(selection, one.version) for one in named]
-        told = []
+        if len(named) < 2:
+            return []
+        effects, told = [fitted_effect(selection, one.version) for one in named], []
         for (one, own), (other, opposite) in combinations(zip(named, effects, strict=True), 2):
             together, smaller = rms(own + opposite), min(rms(own), rms(opposite))
             if together < MAX_LEFT_OF_BOTH * smaller:

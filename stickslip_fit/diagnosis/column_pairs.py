@@ -22,7 +22,7 @@ from stickslip_fit.diagnosis.evidence import batch_hypotheses
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause
 
-MIN_EVIDENCE_SHARE = 0.5
+MIN_EVIDENCE_SHARE = 0.5  # of unknown structure, for the cause of its new column
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,7 @@ class ColumnPair:
 
 def find_column_pair(misfit: Misfit, df: int) -> ColumnPair | None:
     """The pair, None where unknown structure does not follow two columns each of which has a cause."""
-    unknown = misfit.best_hypothesis(UNKNOWN)
-    carriers = tuple(getattr(unknown.version, "carriers", ()))
+    carriers = _columns_of_unknown(misfit)
     causes = [cause for column in carriers if (cause := _cause_of(misfit, column)) is not None]
     if len(carriers) != 2 or len(causes) != 2:
         return None
@@ -54,7 +53,7 @@ def find_column_pair(misfit: Misfit, df: int) -> ColumnPair | None:
     ]
     effects = [[one.directions * np.sqrt(one.prior_share) for one in shapes] for shapes in of_each]
     pairs = [make_hypothesis("both", None, None, np.hstack(pair)) for pair in product(*effects)]
-    tried = [unknown, *(one for one in pairs if one is not None)]
+    tried = [misfit.best_hypothesis(UNKNOWN), *(one for one in pairs if one is not None)]
     own, *together = batch_hypotheses(tried, df).log_evidence(misfit.residual[:, None])[:, 0].tolist()
     pair = float(logsumexp(together)) - np.log(len(pairs)) if together else -np.inf
     causes.sort(key=lambda cause: -misfit.log_evidence_by_cause[cause])
@@ -66,12 +65,19 @@ def find_new_column(misfit: Misfit, known: Collection[str]) -> str | None:
 
     None where it follows others, or where the cause has less than `MIN_EVIDENCE_SHARE` of its evidence.
     """
-    carriers = tuple(getattr(misfit.best_hypothesis(UNKNOWN).version, "carriers", ()))
+    carriers = _columns_of_unknown(misfit)
     new = [column for column in carriers if column not in known]
     if len(carriers) < 2 or len(new) != 1 or (cause := _cause_of(misfit, new[0])) is None:
         return None
     evidence = misfit.log_evidence_by_cause
     return cause if evidence[cause] > MIN_EVIDENCE_SHARE * evidence[UNKNOWN] else None
+
+
+def _columns_of_unknown(misfit: Misfit) -> tuple[str, ...]:
+    """What the likeliest unknown structure follows; nothing where there is none."""
+    if UNKNOWN not in misfit.log_evidence_by_cause:
+        return ()
+    return tuple(getattr(misfit.best_hypothesis(UNKNOWN).version, "carriers", ()))
 
 
 def _cause_of(misfit: Misfit, column: str) -> str | None:

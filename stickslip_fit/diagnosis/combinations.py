@@ -101,15 +101,15 @@ def first_of_pair(
     found: list[tuple[float, list[SelectedCause]]] = []
     pairs: list[tuple[float, list[SelectedCause]]] = []
     causes = misfit.rank_causes(PAIR_MIN_LOG_BAYES_FACTOR)[:MAX_PAIR_TRIALS]
-    lacking = [np.inf]
-    if (of_columns := find_column_pair(misfit, problem.linearize().df)) is not None:
+    lacking, df = [np.inf], problem.linearize().df
+    if (of_columns := find_column_pair(misfit, df)) is not None:
         first = make_selected(misfit, form_cause_set(misfit, of_columns.causes[0]))
         if of_columns.behind < 0:
             return Search(Combination(first, of_columns.causes[1:]), of_columns.behind)
         lacking.append(of_columns.behind)
     if causes:
         # Linearized: the third of three causes adds no more than the second.
-        added = _evidence_added(misfit, causes, problem.linearize().df)
+        added = _evidence_added(misfit, causes, df)
         slack = 0.0 if problem.autocorrelation is None else MAX_BY_NOISE
         most = {cause: evidence[cause] + 2.0 * added[cause] + slack for cause in causes}
         causes = [cause for cause in causes if most[cause] > highest]
