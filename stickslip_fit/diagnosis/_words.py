@@ -169,11 +169,13 @@ class Words(ABC):
         if finding.carrier.endswith(TO_SOME_EXTENT):
             return f"{text}, but by the evidence of one or two {self.info.row}s, so that no cause is named"
         way, share = self.describe_way(finding), share_by_equation(finding, finding.closest)
-        closest = f"the closest cause, {finding.closest}, {describe_share(finding, finding.closest)}"
+        explains = describe_share(finding, finding.closest)
         if finding.closest and share > NEARLY_ALL:
-            return f"{text}{way}; {closest}, but is less likely"
+            return f"{text}{way}; {finding.closest} {explains}, but is less likely"
         text += f", and has the shape of no cause that was searched{way}"
-        return text if not finding.closest or share < MIN_SHARE else f"{text}; {closest}"
+        if not finding.closest or share < MIN_SHARE:
+            return text
+        return f"{text}; the closest, {finding.closest}, {explains}"
 
     def describe_way(self, finding: Finding) -> str:
         """Which way the response goes with the column that a finding follows, as the end of a sentence.
