@@ -21,6 +21,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from stickslip_fit._typing import Array
+from stickslip_fit.causes.generic import ColumnDependence
 from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR, form_cause_set
 from stickslip_fit.diagnosis.column_pairs import find_column_pair
 from stickslip_fit.diagnosis.covered_causes import find_covered
@@ -541,9 +542,12 @@ def _select_again(
         return None if covered is None else replace(covered[0], naming=before.naming or before.misfit)
     refits = refit_likeliest(trial, others, misfit)
     one = make_selected(refits.misfit, form_cause_set(refits.misfit), refits.starts)
-    if one.cause == UNKNOWN:
-        if before.cause != UNKNOWN:
+    if one.cause == UNKNOWN and before.cause != UNKNOWN:
+        if not isinstance(before.version, ColumnDependence):
             return None
+        # It stays, in the form that is likeliest beside the others; that of one of these may have to change.
+        one = make_selected(refits.misfit, form_cause_set(refits.misfit, before.cause), refits.starts)
+    elif one.cause == UNKNOWN:
         one = replace(one, ahead_of_pairs=before.ahead_of_pairs)
         one = propose_term(linearized, [*others, one], problem.expressions, rng)[-1]
         if one.version is None:
