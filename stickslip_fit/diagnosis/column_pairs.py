@@ -10,7 +10,7 @@ cause of the new column comes first, and then forms are chosen anew.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
 
@@ -19,6 +19,7 @@ from scipy.special import logsumexp
 
 from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR
 from stickslip_fit.diagnosis.evidence import batch_hypotheses
+from stickslip_fit.diagnosis.extension import SelectedCause
 from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause
 
@@ -60,11 +61,12 @@ def find_column_pair(misfit: Misfit, df: int) -> ColumnPair | None:
     return ColumnPair(tuple(causes), own - pair - CAUSE_SET_LOG_BAYES_FACTOR)
 
 
-def find_new_column(misfit: Misfit, known: Collection[str]) -> str | None:
-    """The cause of the one column, not `known` from causes in the law, that unknown structure follows.
+def find_new_column(misfit: Misfit, selected: Iterable[SelectedCause]) -> str | None:
+    """The cause of a column that unknown structure follows beside columns of selected causes.
 
     None where it follows others, or where the cause has less than `MIN_EVIDENCE_SHARE` of its evidence.
     """
+    known = {column for one in selected if one.cause != UNKNOWN for column in one.version.columns}
     carriers = _columns_of_unknown(misfit)
     new = [column for column in carriers if column not in known]
     if len(carriers) < 2 or len(new) != 1 or (cause := _cause_of(misfit, new[0])) is None:

@@ -199,10 +199,9 @@ class Looks:
 
     def _is_of_columns(self, place: int, without: Misfit) -> bool:
         """Whether causes in the law are selected since unknown structure follows their columns."""
-        causes = [one for one in self.selection.law_causes if one.cause != UNKNOWN]
-        names, earlier = {one.cause for one in causes}, self.selection.law_causes[:place]
-        known = {column for one in earlier if one.cause != UNKNOWN for column in one.version.columns}
-        if (new := find_new_column(without, known)) is not None:
+        causes = self.selection.law_causes
+        names = {one.cause for one in causes}
+        if (new := find_new_column(without, causes[:place])) is not None:
             return new in names
         df = int(np.count_nonzero(without.residual)) - self.naming[place].basis.shape[1]
         pair = find_column_pair(without, df)

@@ -322,10 +322,8 @@ class _ForwardSelection:
         if single.found is not None:
             self.last = last = single.found
             following = make_selected(last, form_cause_set(last))
-        if following.cause == UNKNOWN:
-            causes = [one.version for one in self.selected if one.cause != UNKNOWN]
-            new = find_new_column(last, {column for one in causes for column in one.columns})
-            following = following if new is None else make_selected(last, form_cause_set(last, new))
+        if following.cause == UNKNOWN and (new := find_new_column(last, self.selected)) is not None:
+            following = make_selected(last, form_cause_set(last, new))
         if following.cause == UNKNOWN:
             pairs = first_of_pair(problem, self.selected, last)
             ahead_of_pairs = min(single.behind, pairs.behind)

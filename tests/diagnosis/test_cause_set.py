@@ -68,3 +68,9 @@ def test_rivals_that_are_as_likely_share_the_probability():
     assert together.rivals == ("wear", "side-load")
     assert together.probability == pytest.approx({"drift": 0.3, "wear": 0.3, "side-load": 0.3})
     assert alone.with_rivals([]) == alone
+
+
+def test_what_was_found_as_well_is_no_rival():
+    found = CauseSet("wear", ("drift", "humidity"), {"wear": 0.5, "drift": 0.3, "humidity": 0.2}, ("drift",))
+    left = found.without_rivals(["wear", "drift", "unknown"])
+    assert left == CauseSet("wear", ("humidity",), {"wear": 0.8, "drift": 0.0, "humidity": 0.2})

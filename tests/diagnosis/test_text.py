@@ -234,6 +234,9 @@ def test_what_has_no_name_is_shown_as_it_is(unnamed):
     assert re.search(r"comes and goes with a period of 5\d\.\d min", first)
     assert first.endswith(f"the closest, {finding.closest}, explains 34 % of it.")
     assert "extended law" not in first + second
+    nearly = replace(near, share=0.97)
+    first, _ = write_headline(replace(unnamed, findings=(nearly,)))
+    assert first.endswith(f"; {finding.closest} explains 97 % of it, but is less likely.")
 
 
 def test_a_log_too_small_says_so_and_what_would_suffice(tiny):

@@ -12,6 +12,7 @@ from stickslip_fit.diagnosis import gain, table_gain
 from stickslip_fit.diagnosis.cross_validation import select_from_training
 from stickslip_fit.diagnosis.table_gain import hold_out_kinds, number_rows, number_time_blocks
 from tests.table.bench import BY_DIRECTION, CUBIC, LAW, bench, design
+from tests.table.test_columns import sum_of_columns, table
 
 
 def held_out_rms(frame, splits, *, extended):
@@ -46,14 +47,14 @@ def test_rows_are_held_out_and_predicted_as_by_hand(independent):
 
 
 def test_blocks_are_long_against_the_autocorrelation(named):
-    table = named.table
+    info = named.table
     (phi,) = named.extended_law().autocorrelation
-    assert table.correlation_rows == pytest.approx((1 + phi) / (1 - phi))
-    assert table.independent == pytest.approx(len(named.selection.problem) / table.correlation_rows)
-    kinds, words = number_time_blocks(named.selection.problem.rows, table.correlation_rows)
+    assert info.correlation_rows == pytest.approx((1 + phi) / (1 - phi))
+    assert info.independent == pytest.approx(len(named.selection.problem) / info.correlation_rows)
+    kinds, words = number_time_blocks(named.selection.problem.rows, info.correlation_rows)
     sizes = np.bincount(kinds)
     assert np.all(np.diff(kinds) >= 0)
-    assert sizes.min() >= min(10 * table.correlation_rows, len(kinds) // 10)
+    assert sizes.min() >= min(10 * info.correlation_rows, len(kinds) // 10)
     assert words == named.gain.held_out
 
 
@@ -63,15 +64,27 @@ def test_with_nothing_wrong_nothing_is_gained(nothing):
     assert gain.baseline == gain.extended == pytest.approx(0.2, rel=0.15)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("timed", [False, True], ids=["any order", "in order"])
-def test_a_clear_answer_is_not_searched_for_again_in_each_fold(monkeypatch, timed):
-    """A pump's flow saturates: a cause without a name, in each fold as in all rows."""
+def pump():
+    """Its flow saturates: a cause without a name, in each fold as in all rows."""
     rng = np.random.default_rng(4)
     dp = rng.uniform(0.5, 9.0, 120)
     flow = 3.2 * np.sqrt(np.minimum(dp, 6.5)) + 0.05 * rng.standard_normal(120)
-    frame, searched = pd.DataFrame({"dp": dp, "Q": flow}), []
-    diagnosis = ssf.diagnose_table(frame, "Q ~ k*sqrt(dp)", time="order" if timed else None, gain=False)
+    return pd.DataFrame({"dp": dp, "Q": flow})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("frame", "law", "time"),
+    [
+        (pump(), "Q ~ k*sqrt(dp)", None),
+        (pump(), "Q ~ k*sqrt(dp)", "order"),
+        (table(1, sum_of_columns(3)), "y ~ a + b*x", None),
+    ],
+    ids=["any order", "in order", "columns"],
+)
+def test_a_clear_answer_is_not_searched_for_again_in_each_fold(monkeypatch, frame, law, time):
+    searched = []
+    diagnosis = ssf.diagnose_table(frame, law, time=time, gain=False)
 
     def search(problem, split, selector, seed):
         searched.append(split)
@@ -134,10 +147,10 @@ def test_without_a_time_the_order_of_rows_changes_no_gain():
     rng = np.random.default_rng(4)
     x, who = np.tile(np.linspace(0.0, 1.0, 10), 12), np.repeat(np.arange(12), 10)
     slope = 1.0 + rng.standard_normal(12)[who]
-    table = pd.DataFrame({"x": x, "who": [f"w{k}" for k in who], "y": slope * x + rng.normal(0.0, 0.1, 120)})
+    runs = pd.DataFrame({"x": x, "who": [f"w{k}" for k in who], "y": slope * x + rng.normal(0.0, 0.1, 120)})
     in_order, at_random = (
         ssf.diagnose_table(frame, "y ~ a + b*x").gain
-        for frame in (table, table.sample(frac=1.0, random_state=1).reset_index(drop=True))
+        for frame in (runs, runs.sample(frac=1.0, random_state=1).reset_index(drop=True))
     )
     assert in_order.extended == pytest.approx(at_random.extended, rel=0.15)
     assert in_order.extended < 0.13
