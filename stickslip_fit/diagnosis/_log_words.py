@@ -1,4 +1,4 @@
-"""What the diagnosis of a log says of its findings, what cures them, and of noise that is not as assumed."""
+"""What the diagnosis of a log says of its findings, and what cures them."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from stickslip_fit.causes.function_of_cause import FunctionOfCause
 from stickslip_fit.causes.parameters import plain_description
 from stickslip_fit.causes.profile import AlongTravel
 from stickslip_fit.causes.proposed import SmoothTerm
+from stickslip_fit.diagnosis._noise_words import describe_noise
 from stickslip_fit.diagnosis._stage_summary import describe_reading
 from stickslip_fit.diagnosis._unknown_summary import (
     describe_carrier,
@@ -36,24 +37,15 @@ from stickslip_fit.diagnosis._unknown_summary import (
 from stickslip_fit.diagnosis._words import Words, baseline_name
 from stickslip_fit.diagnosis.finding import Finding
 from stickslip_fit.diagnosis.misfit import UNKNOWN
-from stickslip_fit.diagnosis.problem import MISFIRE, DiagnosisProblem
+from stickslip_fit.diagnosis.problem import MISFIRE
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.diagnosis.travel_profile import TravelProfile, format_extremes
 from stickslip_fit.estimation._gaps import fill_gaps
 from stickslip_fit.units import Z_95
 
-MANY_SESSIONS = 3  # above which they are counted instead of named
 STANDS_OUT = 2.0  # times the profile of any other session
 FAR_ABOVE = 3.0  # times the noise: an error that is told
 MAX_PROFILES = 4  # told one by one
-NOISY = 2.0  # times the noise of the quietest session
-COMMON = {
-    "configuration": "in some configurations",
-    "range": "in some ranges of the travel",
-    "position": "in some places of the travel",
-    "part of a session": "in some parts of the sessions",
-    "stretch of time": "in some stretches of time",
-}
 
 
 def describe_effect(finding: Finding) -> str:
@@ -218,23 +210,6 @@ def knows_calibration(diagnosis: Diagnosis) -> bool:
     return any(part.law.calibration() for part in diagnosis.selection.problem.parts)
 
 
-def describe_noise(diagnosis: Diagnosis) -> list[str]:
-    """A sentence on skewed, rounded or uneven noise; none where there is none of these."""
-    problem, listed = diagnosis.selection.problem, diagnosis.noise_properties
-    said = []
-    if "uneven" in listed:
-        said += [_describe_unevenness(problem, carrier) for carrier in problem.uneven]
-    if "skewed" in listed and problem.skewness is not None:
-        said.append(f"its long tail is towards {'more' if problem.skewness.g > 0 else 'fewer'} steps")
-    if "rounded" in listed and problem.spacing is not None:
-        spacing = np.round(problem.spacing * problem.rows["steps"].to_numpy(float)).astype(int)
-        found = [str(one) for one in np.unique(spacing[spacing > 0])]
-        said.append(f"counts are multiples of {join_words(found, 'or')} steps, which no column says")
-    if not said:
-        return []
-    return [f"The noise is not as assumed, which is allowed for: {join_words(said)}."]
-
-
 def describe_gaps(diagnosis: Diagnosis) -> list[str]:
     """A sentence on empty cells of smooth columns; none where there is none."""
     if diagnosis.log is None:
@@ -245,19 +220,3 @@ def describe_gaps(diagnosis: Diagnosis) -> list[str]:
     counts = {name: int(rows[name].isna().sum() - filled[name]) for name in rows}
     told = [f"{pluralize(n, 'empty cell')} of {name_carrier(name)}" for name, n in counts.items() if n]
     return [f"Filled in between readings: {join_words(told)}."] if told else []
-
-
-def _describe_unevenness(problem: DiagnosisProblem, carrier: str) -> str:
-    ratio = pd.Series(problem.noise_ratio)
-    if carrier != "session":
-        size = float(ratio.quantile(0.98) / ratio.quantile(0.02))
-        where = COMMON.get(carrier, f"at some values of {name_carrier(carrier)}")
-        return f"it is up to {size:.0f} times as large {where} as {where[:2]} others"
-    by_session = ratio.groupby(problem.rows["session"].to_numpy(object)).median()
-    noisy = by_session[by_session > NOISY * by_session.min()]
-    quiet = float(by_session[by_session <= NOISY * by_session.min()].median())
-    names = join_words([str(name) for name in noisy.index])
-    where = f"session {names}" if len(noisy) == 1 else f"sessions {names}"
-    if len(noisy) > MANY_SESSIONS:
-        where = f"{len(noisy)} of {len(by_session)} sessions"
-    return f"it is {float(noisy.median()) / quiet:.0f} times as large in {where} as in others"

@@ -24,6 +24,7 @@ from stickslip_fit._format import (
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.roles import ORDER, ROW_NUMBER
 from stickslip_fit.causes.table_terms import PREDICTION
+from stickslip_fit.diagnosis._noise_words import describe_noise
 from stickslip_fit.diagnosis._unknown_summary import (
     PERIOD_OF,
     SETTINGS_OF,
@@ -105,13 +106,15 @@ class TableWords(Words):
         return f"the response follows the column {cause.removeprefix(COVARIATE_PREFIX)} ({cause})"
 
     def tell_no_finding(self) -> list[str]:
-        return [self._describe_no_misfit(), *self._describe_nearest(), *self._describe_suspects()]
+        noise = describe_noise(self.diagnosis)
+        return [self._describe_no_misfit(), *self._describe_nearest(), *noise, *self._describe_suspects()]
 
     def tell_findings(self) -> list[str]:
         first, *others = self.diagnosis.findings
         sides = map(self.describe_side_effect, others)
         told = f"{self.warn_of_new_session()}{self.describe_finding(first)}."
-        return [told, *sides, self._describe_gain(), *self._describe_suspects()]
+        noise = describe_noise(self.diagnosis)
+        return [told, *sides, self._describe_gain(), *noise, *self._describe_suspects()]
 
     def describe_carrier(self, carrier: str) -> str:
         return describe_table_carrier(carrier, self.table)

@@ -78,7 +78,8 @@ def _find_largest(problem: DiagnosisProblem, level: float) -> Outliers:
     skewness = fit_skewness(z)
     symmetric = z if skewness is None else skewness.symmetrize(z)
     residuals = Residuals(symmetric, same, np.zeros((len(problem), 1)), same)
-    uneven = estimate_unevenness(residuals, group_rows(linearized, problem.configuration, residuals))
+    groupings = group_rows(linearized, problem.configuration, residuals, problem.noise_columns)
+    uneven = estimate_unevenness(residuals, groupings)
     ratio = np.maximum(uneven.ratio, 1.0)
     if np.any(ratio > 1.0):
         skewness = fit_skewness(z / ratio)

@@ -209,12 +209,13 @@ def estimate_noise(
     kind: IntArray,
     least_sd: float = MIN_SD,
     relative_sd: Array | float = 1.0,
+    columns: tuple[str, ...] = (),
 ) -> NoiseEstimate:
     """Estimate the noise from residuals without structure.
 
     `rounding`, shape (n,), is the variance that rounding adds; `drive` numbers the joint and direction of
     each row, `kind` its configuration. No standard deviation is below `least_sd`; all are over the
-    `relative_sd` of their rows.
+    `relative_sd` of their rows. `columns` are as of `group_rows`.
     """
     deviation, rounding = left.residual * linearized.scale / relative_sd, rounding / np.square(relative_sd)
     free = np.maximum(1.0 - linearized.leverage - left.leverage, MIN_FREE)
@@ -224,10 +225,10 @@ def estimate_noise(
     standardized = deviation / scale / np.sqrt(free)
     uneven, skewness = Unevenness(np.ones(len(deviation))), None
     if linearized.noise_filter is None:
-        uneven = _estimate_unevenness(linearized, left, scale * relative_sd, drive, kind)
+        uneven = _estimate_unevenness(linearized, left, scale * relative_sd, drive, kind, columns)
         if left.log_evidence > 0:  # what looks like structure may be where the noise is large
             whole = StructureRemoved(linearized.residual, np.zeros(len(deviation)))
-            alone = _estimate_unevenness(linearized, whole, scale * relative_sd, drive, kind)
+            alone = _estimate_unevenness(linearized, whole, scale * relative_sd, drive, kind, columns)
             if alone.log_ratio > uneven.log_ratio + left.log_evidence + MIN_UNEVEN_LOG_ODDS:
                 uneven = alone
         skewness = fit_skewness((standardized / uneven.ratio)[counts == 1.0])
@@ -246,7 +247,12 @@ def estimate_noise(
 
 
 def _estimate_unevenness(
-    linearized: LinearizedFit, left: StructureRemoved, scale: Array, drive: IntArray, kind: IntArray
+    linearized: LinearizedFit,
+    left: StructureRemoved,
+    scale: Array,
+    drive: IntArray,
+    kind: IntArray,
+    columns: tuple[str, ...],
 ) -> Unevenness:
     """From symmetrized residuals without means of replicates that are beyond chance: effects, not noise."""
     residuals = residuals_of(linearized, left.residual, scale, drive, left.leverage)
@@ -260,7 +266,7 @@ def _estimate_unevenness(
     clear = (rows >= MIN_CELL_ROWS) & (np.abs(mean) > CLEAR_MEAN * error)
     within = (residuals.values - mean[cell]) * np.sqrt(rows / np.maximum(rows - 1, 1))[cell]
     residuals = replace(residuals, values=np.where(clear[cell], within, residuals.values))
-    return estimate_unevenness(residuals, group_rows(linearized, kind, residuals))
+    return estimate_unevenness(residuals, group_rows(linearized, kind, residuals, columns))
 
 
 def _subtract_cell_means(deviation: Array, cell: IntArray) -> Array:

@@ -102,6 +102,8 @@ class DiagnosisProblem:
         Least standard deviation of the noise: with less, the law fits to within rounding.
     spacing : array, shape (n,), or None
         Of responses that are rounded more coarsely than the rows say, 0 of others; None if there are none.
+    noise_columns : tuple of str
+        Of rows that are no traverses, columns on which the noise may depend.
     uneven : tuple of str
         What the rows have in common whose noise is more than twice as large as others'.
     skewness : Skewness or None
@@ -131,6 +133,7 @@ class DiagnosisProblem:
     trimmed: bool = False
     least_sd: float = MIN_SD
     spacing: Array | None = None
+    noise_columns: tuple[str, ...] = ()
     uneven: tuple[str, ...] = ()
     skewness: Skewness | None = None
     uncertain: tuple[RowChanges, ...] = ()
@@ -239,6 +242,7 @@ class DiagnosisProblem:
             self.configuration,
             self.least_sd,
             self.relative_sd,
+            self.noise_columns,
         )
 
     def with_noise(self, noise: NoiseEstimate) -> DiagnosisProblem:

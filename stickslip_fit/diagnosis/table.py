@@ -277,6 +277,7 @@ def problem_from_table(
         smooth_columns=rows[list(alternatives.columns)].to_numpy(float),
         n_refits=N_REFITS,
         least_sd=least_sd,
+        noise_columns=tuple(dict.fromkeys((*alternatives.columns, *covariates))),
     )
     if roles.sigma:
         problem = weigh_rows(problem, rows[roles.sigma].to_numpy(float))

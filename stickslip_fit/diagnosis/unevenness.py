@@ -1,10 +1,10 @@
 """Uneven noise: standard deviations that differ by more than a factor of two somewhere.
 
 Rows are grouped by session, part of a session, the noise of their neighbours in time, configuration, range of
-the traverse, and by ranges of every coordinate and column. For each grouping the distribution of the groups'
-standard deviations is estimated nonparametrically (J. Kiefer and J. Wolfowitz, Ann. Math. Stat. 27:887,
-1956), once without limits and once as assumed: within a factor of two in each joint, the same in all
-sessions. Their likelihood ratio decides.
+the traverse, by ranges of every coordinate and column, and by the texts of a column. For each grouping the
+distribution of the groups' standard deviations is estimated nonparametrically (J. Kiefer and J. Wolfowitz,
+Ann. Math. Stat. 27:887, 1956), once without limits and once as assumed: within a factor of two in each joint,
+the same in all sessions. Their likelihood ratio decides.
 
 Calibration parameters hide unevenness: fitted by least squares, they carry the noise of noisy rows into quiet
 ones. So each hypothesis weighs the rows as it says, and the likelihood is that of the residuals without the
@@ -247,10 +247,13 @@ class WeightedResiduals:
 
 
 def group_rows(
-    linearized: LinearizedFit, configuration: IntArray, residuals: Residuals
+    linearized: LinearizedFit, configuration: IntArray, residuals: Residuals, columns: tuple[str, ...] = ()
 ) -> dict[str, Grouping]:
-    """Groupings of rows within which the noise may be larger, by what the rows of a group have in common."""
-    n, known = len(linearized), linearized.table.once(_group_by_columns)
+    """Groupings of rows within which the noise may be larger, by what the rows of a group have in common.
+
+    Of rows that are no traverses, `columns` are those on which the noise may depend.
+    """
+    n, known = len(linearized), linearized.table.once(_group_by_columns, columns)
     groupings = {**known.of_sessions, "configuration": _make_grouping(configuration, known.joint)}
     groupings |= known.of_carriers
     weighted = residuals.reweight(np.ones(n))
@@ -289,7 +292,7 @@ class _ColumnGroupings:
     of_carriers: dict[str, Grouping]
 
 
-def _group_by_columns(table: RowTable) -> _ColumnGroupings:
+def _group_by_columns(table: RowTable, columns: tuple[str, ...]) -> _ColumnGroupings:
     rows, n = table.frame, len(table)
     session = pd.factorize(rows["session"].astype(object))[0]
     joint, everywhere, ends = np.zeros(n, dtype=np.intp), np.zeros(n, dtype=np.intp), None
@@ -306,6 +309,10 @@ def _group_by_columns(table: RowTable) -> _ColumnGroupings:
             if carrier.name not in NO_REASON:
                 label = _bin(traverse_average(carrier.values), joint)
                 of_carriers[carrier.name] = _make_grouping(label, joint)
+    for name in columns:
+        is_number = pd.api.types.is_numeric_dtype(rows[name])
+        label = _bin(rows[name].to_numpy(float), joint) if is_number else pd.factorize(rows[name])[0]
+        of_carriers[name] = _make_grouping(label, everywhere)
     return _ColumnGroupings(joint, ends, in_order, of_sessions, of_carriers)
 
 
