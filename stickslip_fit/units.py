@@ -76,6 +76,8 @@ _UNIT_LIST = (
     Unit("min", 60),
     Unit("h", 3_600),
     Unit("days", 86_400),
+    Unit("weeks", 604_800),
+    Unit("months", 2_629_800),
     Unit("years", 31_557_600),
     Unit("steps"),
     Unit("%/h", 1, 360_000),
@@ -178,6 +180,8 @@ TIME_SPELLINGS = {
     "min": {"min", "mins", "minute", "minutes"},
     "h": {"h", "hr", "hrs", "hour", "hours"},
     "days": {"d", "day", "days"},
+    "weeks": {"wk", "wks", "week", "weeks"},
+    "months": {"month", "months"},
     "years": {"yr", "year", "years"},
 }
 
@@ -187,8 +191,8 @@ def time_unit_of(name: str) -> str | None:
 
     Examples
     --------
-    >>> [time_unit_of(name) for name in ("t_s", "time_min", "t (ms)", "Time [h]", "Year", "elapsed days")]
-    ['s', 'min', 'ms', 'h', 'years', 'days']
+    >>> [time_unit_of(name) for name in ("t_s", "time_min", "t (ms)", "Time [h]", "Year", "elapsed weeks")]
+    ['s', 'min', 'ms', 'h', 'years', 'weeks']
     >>> time_unit_of("t")
     """
     ending = re.split(r"[\s_\[(/]+", name.strip(" ])").lower())[-1]

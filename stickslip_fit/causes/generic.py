@@ -161,9 +161,8 @@ class SteadyDrift(AddedTerm):
 
     @property
     def parameters(self) -> tuple[CauseParameter, ...]:  # type: ignore[override]
-        per = "row" if self.time_unit == "rows" else self.time_unit
-        unit = TableUnit(f"{self.unit or '1'}/{per}")
-        return (CauseParameter("k", unit, f"change of the response per {per}"),)
+        per = self._name_one(self.time_unit)
+        return (CauseParameter("k", self._unit_per(per), f"change of the response per {per}"),)
 
     @property
     def scale(self) -> tuple[float, ...]:  # type: ignore[override]
@@ -174,8 +173,15 @@ class SteadyDrift(AddedTerm):
         name, size = choose_time_unit(self.longest, self.time_unit)
         if size == 1.0:
             return tuple(parameters)
-        unit = TableUnit(f"{self.unit or '1'}/{name.removesuffix('s')}")
+        unit = self._unit_per(self._name_one(name))
         return tuple(one.times(size, unit) for one in parameters)
+
+    @staticmethod
+    def _name_one(time_unit: str) -> str:
+        return time_unit.removesuffix("s") if len(time_unit) > len("ms") else time_unit
+
+    def _unit_per(self, time: str) -> TableUnit:
+        return TableUnit(f"{self.unit}/{time}" if self.unit else f"per {time}")
 
     def term(self, rows: Rows) -> Term:
         return linear_term(np.asarray(rows["session_seconds"], float)[:, None])
