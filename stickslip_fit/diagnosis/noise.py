@@ -21,7 +21,7 @@ from stickslip_fit._typing import Array, BoolArray, IntArray
 from stickslip_fit.diagnosis.evidence import log_likelihood_ratio
 from stickslip_fit.diagnosis.linearized import MAX_LEVERAGE, LinearizedFit
 from stickslip_fit.diagnosis.misfit import TAIL_DF, StructureRemoved
-from stickslip_fit.diagnosis.noise_shape import Skewness, fit_skewness
+from stickslip_fit.diagnosis.noise_shape import Skewness, fit_skewness, merge_neighbours
 from stickslip_fit.diagnosis.unevenness import (
     MIN_FREE,
     Unevenness,
@@ -57,6 +57,7 @@ MIN_TAIL_PROBABILITY = 1e-4  # of a df; noise of a less likely one is not simula
 MAX_EXCEEDANCES, BATCH_SIZE = 40, 500  # simulated logs above the statistic, after which none is added
 SCALE_GRID = (0.9, 1.0, 1.1)  # of the standard deviation by the median
 MIN_OUTLIER_MEDIANS, MAX_OUTLIER_MEDIANS = 5.5, 120.0  # absolute residuals; larger ones count as so large
+N_MERGED = 300  # groups of residuals that are no outliers, where there are more of these
 MISFIRE_SHARES = (0.0015, 0.003, 0.006, 0.012, 0.025, 0.05)
 MAX_MISFIRE_SHARE = 0.1  # of the rows
 NEIGHBOURS = 2  # rows on either side, in time or in a column
@@ -480,6 +481,7 @@ def _log_likelihood_ratio(deviation: Array) -> tuple[Array, Array, dict[float, A
     number = max(int(MAX_MISFIRE_SHARE * n), 1)
     places = np.argpartition(-deviation, number - 1, axis=1)[:, :number]
     top = np.take_along_axis(deviation, places, axis=1)
+    others, rows = merge_neighbours(np.sort(deviation, axis=1)[:, : n - number], N_MERGED)
     far = top > MIN_OUTLIER_MEDIANS
     log_range = np.log(MAX_OUTLIER_MEDIANS / MIN_OUTLIER_MEDIANS)
     outlier_density = np.where(far, 1.0 / (top * log_range), 0.0)
@@ -488,10 +490,10 @@ def _log_likelihood_ratio(deviation: Array) -> tuple[Array, Array, dict[float, A
     for df in TAIL_DF:
         middle = float(stdtrit(df, 0.75))
         for scale in SCALE_GRID:
-            log_noise = _log_density(deviation, middle / scale, df)
-            total = log_noise.sum(axis=1)
+            log_noise = _log_density(top, middle / scale, df)
+            total = log_noise.sum(axis=1) + _log_density(others, middle / scale, df) @ rows
             alone = np.maximum(alone, total)
-            ratio = outlier_density * np.exp(-np.take_along_axis(log_noise, places, axis=1))
+            ratio = outlier_density * np.exp(-log_noise)
             for share in MISFIRE_SHARES:
                 # For rows that are not far the mixture is (1 - share) times the noise.
                 gained = np.where(far, np.log1p(share * (ratio - 1.0)), np.log1p(-share)).sum(axis=1)

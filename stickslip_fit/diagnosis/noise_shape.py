@@ -86,7 +86,10 @@ def fit_skewness(deviation: Array) -> Skewness | None:
     shift = float(np.clip(z, -CLIP, CLIP).mean())
     if abs(shift) * np.sqrt(len(z)) < MIN_MEAN_SHIFT:
         return None
-    z, rows = _merge_neighbours(z)
+    below, inner, above = np.split(np.sort(z), [N_ENDS, max(len(z) - N_ENDS, N_ENDS)])
+    inner, rows = merge_neighbours(inner, N_MIDDLE)
+    z = np.concatenate([below, inner, above])
+    rows = np.pad(rows, (len(below), len(above)), constant_values=1.0)
 
     begin = np.array([0.0, 0.0, np.copysign(FIRST_SKEW, shift)])
     best = min((_fit(z, rows, begin, df) for df in TAIL_DF), key=lambda fit: fit.fun)
@@ -100,19 +103,22 @@ def fit_skewness(deviation: Array) -> Skewness | None:
     return Skewness(float(g), middle + unit * float(location), unit * float(np.exp(log_scale)))
 
 
-def _merge_neighbours(values: Array) -> tuple[Array, Array]:
-    """Values in ascending order, many ones in means of about as many each; how many each stands for.
+def merge_neighbours(ordered: Array, groups: int) -> tuple[Array, Array]:
+    """Many values in ascending order, shape (..., n), as means of groups; how many rows each group has.
 
-    The ends stay as they are. Means of so narrow ranges cost some 0.01 nats.
+    Where a density is looked up at hundreds of groups its log likelihood changes by some 0.01 nats.
+
+    Examples
+    --------
+    >>> merge_neighbours(np.array([1.0, 2.0, 3.0, 5.0, 7.0]), 2)
+    (array([1.5, 5. ]), array([2., 3.]))
     """
-    values = np.sort(values)
-    inner = len(values) - 2 * N_ENDS
-    if inner <= N_MIDDLE:
-        return values, np.ones(len(values))
-    edges = N_ENDS + np.arange(N_MIDDLE + 1) * inner // N_MIDDLE
-    firsts = np.concatenate([np.arange(N_ENDS), edges[:-1], np.arange(len(values) - N_ENDS, len(values))])
-    rows = np.diff(np.append(firsts, len(values))).astype(float)
-    return np.add.reduceat(values, firsts) / rows, rows
+    n = ordered.shape[-1]
+    if n <= groups:
+        return ordered, np.ones(n)
+    firsts = np.arange(groups) * n // groups
+    rows = np.diff(np.append(firsts, n)).astype(float)
+    return np.add.reduceat(ordered, firsts, axis=-1) / rows, rows
 
 
 def _fit(z: Array, rows: Array, start: Array, df: float) -> Any:
