@@ -29,6 +29,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -64,6 +65,7 @@ from stickslip_fit.errors import check_alpha, check_count
 from stickslip_fit.laws import Laws
 from stickslip_fit.logs import Log
 
+SEARCH_STEP, SEARCH_START, SEARCH_END = "searching for causes", 0.05, 0.2  # shares of the work
 GROSS_ALPHA_SHARE = 0.1  # of the false-alarm rate, for gross errors
 MAX_SEARCHES = 4  # each with fewer rows, or with rows that came back
 BOOTSTRAP_PER_ALARM = 20  # bootstrap samples for each expected false alarm
@@ -160,13 +162,18 @@ def diagnose_problem(
     began = time.perf_counter()
     check_alpha(alpha)
     check_count("seed", seed, least=0)
-    progress("searching for causes", 0.05)
+    progress(SEARCH_STEP, SEARCH_START)
     rng = np.random.default_rng(seed)
     gross = find_gross_errors(problem, GROSS_ALPHA_SHARE * alpha)
     next_aside, p_value = gross.rows, max(gross.p_value, 1.0 / (1 + bootstrap_size(alpha)))
+
+    def tell_found(number: int) -> None:
+        share = number / problem.max_causes
+        progress(f"{SEARCH_STEP}, {number} found", SEARCH_START + share * (SEARCH_END - SEARCH_START))
+
     for _ in range(MAX_SEARCHES):
         aside = next_aside  # the rows that the last search was made without, also if it asks for one more
-        for search in _search(set_aside(problem, aside), missing, alpha, rng):
+        for search in _search(set_aside(problem, aside), missing, alpha, rng, tell_found):
             found = search.selection
             if other := replace_problem(with_gross_errors(found, len(problem), aside, p_value)):
                 return diagnose_problem(*other, alpha=alpha, seed=seed, progress=progress)
@@ -262,7 +269,11 @@ class _Search:
 
 
 def _search(
-    problem: DiagnosisProblem, missing: Mapping[str, str], alpha: float, rng: np.random.Generator
+    problem: DiagnosisProblem,
+    missing: Mapping[str, str],
+    alpha: float,
+    rng: np.random.Generator,
+    tell_found: Callable[[int], None],
 ) -> Iterator[_Search]:
     """What is selected; then, if it is searched again in more causes, what is selected of all."""
     linearized = problem.linearize()
@@ -279,9 +290,10 @@ def _search(
     testable = _without(problem, unable)
     if UNKNOWN in unable and not any(cause.name != problem.outlier_cause for cause in testable.causes):
         too_small = too_small or unable[UNKNOWN]
-    selection = (
-        empty_selection(testable) if too_small else select_causes(testable, alpha, bootstrap_size(alpha), rng)
+    select = partial(
+        select_causes, alpha=alpha, n_bootstrap=bootstrap_size(alpha), rng=rng, tell_found=tell_found
     )
+    selection = empty_selection(testable) if too_small else select(testable)
     shown = _testable_beside(selection, problem, linearized, unable)
     wider = _without(problem, unable.keys() - shown)
     whole = widen_selection(selection, wider.causes, alpha) if shown else selection
@@ -295,7 +307,7 @@ def _search(
 
     yield describe(whole or selection)
     if whole is None:
-        yield describe(select_causes(wider, alpha, bootstrap_size(alpha), rng))
+        yield describe(select(wider))
 
 
 def _without(problem: DiagnosisProblem, names: Iterable[str]) -> DiagnosisProblem:

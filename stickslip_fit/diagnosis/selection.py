@@ -11,7 +11,7 @@ plausible effect would not be detectable are untestable; logs with few traverses
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -167,15 +167,16 @@ def select_causes(
     n_bootstrap: int,
     rng: np.random.Generator,
     trusted: IntArray = NO_ROWS,
+    tell_found: Callable[[int], None] = lambda number: None,
 ) -> Selection:
     """Select the causes that a log shows, at a false-alarm rate `alpha` of the whole search.
 
     `n_bootstrap` is the number of samples of noise alone for each test. Rows that are `trusted` are no
-    outliers.
+    outliers. `tell_found` is called with the number of causes found so far, as it grows.
     """
     offered = problem.causes
     while True:
-        selection = _select(problem, alpha, n_bootstrap, rng, trusted)
+        selection = _select(problem, alpha, n_bootstrap, rng, trusted, tell_found)
         # Beside an effect far above the noise, of which the test knows the linear part alone, rows look
         # outlying that the law with its cause explains.
         explained = explain_outliers(selection, problem, selection.outliers)
@@ -187,7 +188,12 @@ def select_causes(
 
 
 def _select(
-    problem: DiagnosisProblem, alpha: float, n_bootstrap: int, rng: np.random.Generator, trusted: IntArray
+    problem: DiagnosisProblem,
+    alpha: float,
+    n_bootstrap: int,
+    rng: np.random.Generator,
+    trusted: IntArray,
+    tell_found: Callable[[int], None],
 ) -> Selection:
     baseline = reestimate_noise(problem)
     problem, linearized, residual = baseline.problem, baseline.linearized, baseline.residual
@@ -207,7 +213,7 @@ def _select(
     del baseline  # as large as all hypotheses
     p_value = min(outlier_p_value, first.p_value / (1.0 - OUTLIER_ALPHA_SHARE))
     search = _ForwardSelection(Extension(problem, problem.fit_extended()), first, alpha, n_bootstrap, rng)
-    search.add_causes()
+    search.add_causes(tell_found)
     search.drop_needless(first.critical_value(search.level))
     selected = (*misfires, *name_combinations(search.selected, search.combinations))
     results = first, search.last, p_value, search.extension.fit, search.extension.linearized
@@ -254,11 +260,11 @@ class _ForwardSelection:
             return quieter, self.assess(quieter, selected)
         return extension, test
 
-    def add_causes(self) -> None:
+    def add_causes(self, tell_found: Callable[[int], None]) -> None:
         """Add causes until nothing is left to be found."""
         most = self.extension.problem.max_causes
         while self.last.p_value < self.level and len(self.selected) < most and self.add_cause():
-            pass
+            tell_found(len(self.selected))
 
     def add_covered(self) -> bool:
         """Add a cause that other forms of the selected ones cover in the last test; whether there is one."""

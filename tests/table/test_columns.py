@@ -84,3 +84,15 @@ def test_columns_whose_effects_cancel_are_told(apart, cancel):
     diagnosis = ssf.diagnose_table(frame, LAW, gain=False)
     assert {one.cause for one in diagnosis.findings[:2]} == {"covariate:c0", "covariate:c1"}
     assert ("nearly cancel: together they are" in " ".join(str(diagnosis).split())) == cancel
+
+
+def test_a_long_search_says_how_much_was_found():
+    told = []
+    ssf.diagnose_table(
+        table(10, sum_of_columns(2)), LAW, gain=False, progress=lambda step, done: told.append((step, done))
+    )
+    assert [step for step, _ in told if "found" in step] == [
+        "searching for causes, 1 found",
+        "searching for causes, 2 found",
+    ]
+    assert [done for _, done in told] == sorted(done for _, done in told)
