@@ -40,7 +40,6 @@ MIN_POOLED = 5  # labels whose effects have a common prior
 MAX_LEVELS, MIN_ROWS_PER_LEVEL = 12, 3  # of a column of integers; rows, on average
 MAX_OWN_PARAMETERS = 120  # of all labels together, where each has other parameters
 MAX_POOLED, MIN_ROWS_PER_POOLED = 60, 2  # of a column of texts
-MAX_NO_NUMBERS = 0.1  # of the cells of a column that is one of numbers but for slips of the pen
 MAX_CELLS = 150_000  # rows times labels of a column of more than `MAX_LEVELS` texts, which take half a minute
 MAX_NAMED = 12  # labels in a message
 
@@ -84,10 +83,6 @@ def explain_unusable_levels(cells: pd.Series) -> str | None:
     number = len(find_levels(cells))
     if number < 2:
         return "it is the same in every row"
-    no_number = cells[pd.to_numeric(cells, errors="coerce").isna()]
-    if number > MAX_LEVELS and 0 < len(no_number) <= MAX_NO_NUMBERS * len(cells):
-        shown = ", ".join(repr(str(one)) for one in no_number.unique()[:3])
-        return f"all but {len(no_number):,} of its cells are numbers; correct {shown}"
     if number > MAX_POOLED or number * MIN_ROWS_PER_POOLED > len(cells):
         return f"it has {number:,} different texts in {len(cells):,} rows"
     if number > MAX_LEVELS and number * len(cells) > MAX_CELLS:
