@@ -18,6 +18,7 @@ import pandas as pd
 from stickslip_fit._typing import Array, BoolArray
 
 DAY = 86400.0  # s
+EPOCH = pd.Timestamp(0, tz="UTC").as_unit("us")
 N_SAMPLE = 20  # cells of a column, by which most of those that have no times are known
 AMBIGUOUS = (
     "may be day/month or month/day, since no number of the column is above 12; write dates such as 2024-05-31"
@@ -57,8 +58,9 @@ def read_times(cells: pd.Series[Any]) -> Times:
         return Times(numbers, ~np.isfinite(numbers))
     if pd.api.types.is_timedelta64_dtype(cells):
         return Times(cells.dt.total_seconds().to_numpy(), cells.isna().to_numpy())
-    moments = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601")
-    times = (moments - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy(dtype=float)
+    # In microseconds, which reach further than the years 1677 to 2262 of nanoseconds.
+    moments = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601").dt.as_unit("us")
+    times = (moments - EPOCH).dt.total_seconds().to_numpy(dtype=float)
     if np.isfinite(times).all():
         return Times(times, np.zeros(len(times), dtype=bool))
     texts = [cell.strip() if isinstance(cell, str) else str(cell) for cell in cells]
@@ -84,6 +86,8 @@ def find_times(frame: pd.DataFrame) -> str:
 def _has_times(column: pd.Series[Any]) -> bool:
     cells = column.astype(object)
     if not all(isinstance(cell, str | datetime) for cell in cells) or cells.nunique() < 2:
+        return False
+    if all(str(cell).isdecimal() for cell in cells):  # numbers of samples rather than years
         return False
     return not any(read_times(some).bad.any() for some in (cells.iloc[:N_SAMPLE], cells))
 

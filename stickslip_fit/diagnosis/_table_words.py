@@ -47,7 +47,8 @@ SUSPECT_SD, MAX_SUSPECTS = 5.0, 3  # of a row beside the others; rows
 RARE_TABLES, MAX_TABLES = 1e3, 1e6  # of which noise leaves one with such a value; more are not counted
 CLEAR_CORRELATION, CLIP_SD = 3.0, 3.0  # standard errors of one of neighbours; of residuals in it
 MIN_KEPT = 0.1  # least share of a residual that a fit leaves
-MAX_PARAMETERS_NAMED = 4
+GROUP = "group"
+MAX_PARAMETERS_NAMED, MAX_OUTLIERS_NAMED = 4, 5
 
 
 @dataclass(frozen=True)
@@ -121,11 +122,7 @@ class TableWords(Words):
 
     def describe_effect(self, finding: Finding) -> str:
         if finding.traverses is not None:
-            response, alone = self.table.response, len(finding.traverses) == 1
-            largest = self.table.format_size(float(finding.traverses["departure"].abs().max()))
-            count = pluralize(len(finding.traverses), "value")
-            do, up_to = ("does", "") if alone else ("do", "up to ")
-            return f"{count} of {response} {do} not belong to the rest, by {up_to}{largest}"
+            return self._describe_outliers(finding.traverses)
         if getattr(finding.version, "sentence", ""):
             text = str(finding.version.describe(finding.shown_parameters))
             return text if finding.parameters else f"{text}, by {self.format_rms(finding)}"
@@ -138,6 +135,18 @@ class TableWords(Words):
             return f"{phrase} ({', '.join(sizes)})"
         return f"{phrase}, by {self.format_rms(finding)}"
 
+    def _describe_outliers(self, outliers: pd.DataFrame) -> str:
+        """Which rows do not belong to the rest, the largest departures first."""
+        by_size = outliers.loc[outliers["departure"].abs().sort_values(ascending=False).index]
+        named = [
+            f"row {row + 1} ({self.table.format_signed(float(departure))} {self.table.unit}".rstrip() + ")"
+            for row, departure in zip(by_size[ROW_NUMBER], by_size["departure"], strict=True)
+        ][:MAX_OUTLIERS_NAMED]
+        if more := len(by_size) - len(named):
+            named.append(f"{more:,} more")
+        count, do = pluralize(len(by_size), "value"), "does" if len(by_size) == 1 else "do"
+        return f"{count} of {self.table.response} {do} not belong to the rest: {join_words(named)}"
+
     def describe_proposal(self, finding: Finding) -> str:
         text = (
             f"What the law leaves of {self.table.response} {self.describe_carrier(finding.carrier)}, by "
@@ -146,8 +155,10 @@ class TableWords(Words):
         if finding.term:
             sizes = ", ".join([finding.term, *_list_sizes(finding)])
             return f"{text}; a term is proposed: {sizes}{self.describe_way(finding)}"
-        several = len(getattr(finding.version, "carriers", ())) > 1
-        what = f"a smooth function of {'both' if several else 'it'}"
+        carriers = getattr(finding.version, "carriers", ())
+        what = f"a smooth function of {'both' if len(carriers) > 1 else 'it'}"
+        if finding.carrier == GROUP:  # a function of other columns, which tells what to expect of a new one
+            what = f"a smooth function of {join_words(carriers)}"
         if finding.carrier.startswith(PERIOD_OF):
             what = "a wave"
         elif finding.carrier.startswith(SETTINGS_OF):
@@ -156,7 +167,8 @@ class TableWords(Words):
 
     def _describe_gain(self) -> str:
         """What the named causes gain together; of what has no name, what to do about it."""
-        diagnosis, size, gain = self.diagnosis, self.table.format_size, self.diagnosis.gain
+        diagnosis, table, gain = self.diagnosis, self.table, self.diagnosis.gain
+        size = table.format_size
         noise, left = size(diagnosis.repeatability), size(diagnosis.misfit)
         named = [finding for finding in diagnosis.findings if finding.version is not None]
         if not named:
@@ -177,7 +189,12 @@ class TableWords(Words):
             before, after = map(size, gain.given_before)
             cut += f" ({GIVEN_BEFORE}: from {before} to {after})"
         advice = "".join(_what_separates(finding, diagnosis) for finding in named)
-        if unnamed := [finding for finding in named if finding.cause == UNKNOWN]:
+        unnamed = [finding for finding in named if finding.cause == UNKNOWN]
+        if any(finding.carrier == GROUP for finding in unnamed) and "session" not in table.roles:
+            advice += (
+                f" Name {table.roles[GROUP]} as the session, if each of its values has parameters of its own."
+            )
+        if unnamed:
             advice += (
                 f" What to do: find out what {describe_stand_in(unnamed[0])}, put that into the table as a "
                 "column or offer it as a cause of your own, and diagnose again."
@@ -387,7 +404,7 @@ def describe_table_carrier(carrier: str, table: TableInfo) -> str:
     >>> describe_table_carrier("settings of d and tube", table)
     'differs between settings of d and tube'
     >>> describe_table_carrier("group", table), describe_table_carrier("covariate:T to some extent", table)
-    ('follows Lot', 'follows T to some extent')
+    ('differs between values of Lot', 'follows T to some extent')
     """
     if carrier.startswith(PERIOD_OF):
         return f"comes and goes with a {carrier}"
@@ -401,6 +418,8 @@ def describe_table_carrier(carrier: str, table: TableInfo) -> str:
     if carrier.endswith(TO_SOME_EXTENT) and not carrier.startswith(COVARIATE_PREFIX):
         return f"has something of {carrier.removesuffix(TO_SOME_EXTENT)}"
     name, _, opposite = carrier.partition(" by direction")
-    names = {PREDICTION: "what the law predicts", "group": table.roles.get("group") or "group"}
     way = ", oppositely in the two directions" if opposite or carrier != name else ""
-    return f"follows {names.get(name, name).removeprefix(COVARIATE_PREFIX)}{way}"
+    if name == GROUP:
+        return f"differs between values of {table.roles.get(GROUP) or GROUP}{way}"
+    shown = "what the law predicts" if name == PREDICTION else name.removeprefix(COVARIATE_PREFIX)
+    return f"follows {shown}{way}"

@@ -17,7 +17,12 @@ import pandas as pd
 
 from stickslip_fit._format import format_p_value, join_words
 from stickslip_fit._typing import Array
-from stickslip_fit.diagnosis._unknown_summary import describe_lag, describe_share, share_by_equation
+from stickslip_fit.diagnosis._unknown_summary import (
+    describe_lag,
+    describe_share,
+    name_findings,
+    share_by_equation,
+)
 from stickslip_fit.diagnosis.cause_set import form_cause_set
 from stickslip_fit.diagnosis.finding import TO_SOME_EXTENT, DataInfo, Finding, Gain
 from stickslip_fit.diagnosis.linearized import rms
@@ -98,19 +103,20 @@ class Words(ABC):
         ]
 
     def tell_cancelling(self) -> list[str]:
-        """Which named causes undo each other nearly, as sentences."""
+        """Which effects in the law undo each other nearly, as sentences."""
         selection = self.diagnosis.selection
         in_law = {id(one.version) for one in selection.law_causes}
-        named = [one for one in self.diagnosis.findings if one.cause != UNKNOWN and id(one.version) in in_law]
-        if len(named) < 2:
+        found = [one for one in self.diagnosis.findings if id(one.version) in in_law]
+        if len(found) < 2:
             return []
-        effects, told = [fitted_effect(selection, one.version) for one in named], []
-        for (one, own), (other, opposite) in combinations(zip(named, effects, strict=True), 2):
+        names = [name.replace(f"{UNKNOWN}: ", "the ") for name in name_findings(found)]
+        effects, told = [fitted_effect(selection, one.version) for one in found], []
+        for (one, own), (other, opposite) in combinations(zip(names, effects, strict=True), 2):
             together, smaller = rms(own + opposite), min(rms(own), rms(opposite))
             if together < MAX_LEFT_OF_BOTH * smaller:
                 share = 100 * together / smaller
                 told.append(
-                    f"The effects of {one.cause} and {other.cause} nearly cancel: together they are "
+                    f"The effects of {one} and {other} nearly cancel: together they are "
                     f"{share:.2g} % of the smaller one. What they do together is known far better than how "
                     "large each is."
                 )

@@ -17,6 +17,7 @@ from itertools import product
 import numpy as np
 from scipy.special import logsumexp
 
+from stickslip_fit.causes.table_terms import SettingsTerm
 from stickslip_fit.diagnosis.cause_set import CAUSE_SET_LOG_BAYES_FACTOR
 from stickslip_fit.diagnosis.evidence import batch_hypotheses
 from stickslip_fit.diagnosis.extension import SelectedCause
@@ -24,6 +25,7 @@ from stickslip_fit.diagnosis.hypotheses import Hypothesis, make_hypothesis
 from stickslip_fit.diagnosis.misfit import UNKNOWN, Misfit, classify_cause
 
 MIN_EVIDENCE_SHARE = 0.5  # of unknown structure, for the cause of its new column
+MIN_SHARE_OF_SETTINGS = 0.25
 
 
 @dataclass(frozen=True)
@@ -64,15 +66,22 @@ def find_column_pair(misfit: Misfit, df: int) -> ColumnPair | None:
 def find_new_column(misfit: Misfit, selected: Iterable[SelectedCause]) -> str | None:
     """The cause of a column that unknown structure follows beside columns of selected causes.
 
-    None where it follows others, or where the cause has less than `MIN_EVIDENCE_SHARE` of its evidence.
+    Of settings of columns in none of these, the likeliest: in a designed experiment what a factor does alone
+    comes before what it does together with others. None where the structure follows other columns, or where
+    the cause has less of its evidence than `MIN_EVIDENCE_SHARE`, of settings `MIN_SHARE_OF_SETTINGS`.
     """
     known = {column for one in selected if one.cause != UNKNOWN for column in one.version.columns}
-    carriers = _columns_of_unknown(misfit)
+    carriers, evidence = _columns_of_unknown(misfit), misfit.log_evidence_by_cause
     new = [column for column in carriers if column not in known]
-    if len(carriers) < 2 or len(new) != 1 or (cause := _cause_of(misfit, new[0])) is None:
+    if len(carriers) < 2 or not new:
         return None
-    evidence = misfit.log_evidence_by_cause
-    return cause if evidence[cause] > MIN_EVIDENCE_SHARE * evidence[UNKNOWN] else None
+    of_settings = isinstance(misfit.best_hypothesis(UNKNOWN).version, SettingsTerm)
+    if len(new) > 1 and not of_settings:
+        return None
+    share = MIN_SHARE_OF_SETTINGS if of_settings else MIN_EVIDENCE_SHARE
+    causes = [cause for column in new if (cause := _cause_of(misfit, column)) is not None]
+    cause = max(causes, key=evidence.__getitem__, default="")
+    return cause if cause and evidence[cause] > share * evidence[UNKNOWN] else None
 
 
 def _columns_of_unknown(misfit: Misfit) -> tuple[str, ...]:

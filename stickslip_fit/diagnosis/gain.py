@@ -7,6 +7,7 @@ of the gain comes from `gain_interval`, for which `_linearize_campaign` prepares
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -316,7 +317,10 @@ def _run_tasks[T](tasks: Sequence[Callable[[], T]], workers: int, at_once: bool)
     if at_once and len(tasks) > 1:
         from joblib import Parallel, delayed
 
-        yield from Parallel(n_jobs=workers, return_as="generator")(delayed(task)() for task in tasks)
+        with warnings.catch_warnings():
+            # Processes that have grown are replaced, which is nothing to be told.
+            warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given")
+            yield from Parallel(n_jobs=workers, return_as="generator")(delayed(task)() for task in tasks)
     else:
         yield from (task() for task in tasks)
 

@@ -55,6 +55,7 @@ MIN_CYCLES = 2.5  # of a periodic disturbance in a session of a sampled signal
 N_SLOW, PERIODS_PER_CYCLE = 120, 4.0  # periods of rows at uneven times; for each cycle more in the record
 # Of the rows, those that repeat a setting; settings.
 MIN_REPEATED, MAX_SETTINGS = 1.0 / 3.0, 150
+MAX_FEW_VALUES = 12  # of a column whose settings with those of another one may matter
 AS_SHARE = ", as a share of what the law predicts"  # after the carriers of such a function
 MAX_HALVES = 2  # columns of two texts
 MIN_RATIO = 2.0  # of the largest to the smallest value of a column, whose logarithm is tried
@@ -388,9 +389,14 @@ def numeric_columns(
 def find_settings(
     rows: pd.DataFrame, own: Sequence[str], roles: TableRoles, covariates: Sequence[str]
 ) -> Iterator[tuple[str, ...]]:
-    """Columns whose settings were repeated: a law's `own`, with each other column, and with all of them."""
+    """Columns whose settings were repeated: a law's `own`, with each other column, and with all of them.
+
+    And every two columns of few values each, as of a designed experiment.
+    """
     law = [*own, *([roles.direction] if roles.direction else [])]
-    sets = [law, *([*law, name] for name in covariates), [*law, *covariates]]
+    few = [name for name in dict.fromkeys([*law, *covariates]) if rows[name].nunique() <= MAX_FEW_VALUES]
+    pairs = list(combinations(few, 2)) if len(few) <= MAX_PAIR_COLUMNS else []
+    sets = [law, *([*law, name] for name in covariates), *pairs, [*law, *covariates]]
     known = set[tuple[int, ...]]()
     for columns in dict.fromkeys(map(tuple, sets)):
         if len(columns) < 2:  # of one column a smooth function has as many values

@@ -18,8 +18,9 @@ import pyarrow.compute as pc
 
 from stickslip_fit.errors import InputError, InputIssue
 
-_NO_VALUE = ("", "na", "n/a", "#n/a", "nan", "<na>", "null", "none", "nat")  # in lower case, in any column
-_NO_NUMBER = (*_NO_VALUE, "-", "--", "---", "?", "..", "...")  # the same in a column of numbers
+# In lower case; among texts "none" may be one of them, such as the treatment of a control group.
+_NO_VALUE = ("", "na", "n/a", "#n/a", "nan", "<na>", "null", "nat")
+_NO_NUMBER = (*_NO_VALUE, "none", "-", "--", "---", "?", "..", "...")  # the same in a column of numbers
 _TRUTH = ("true", "false")
 _NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eEdD][+-]?[0-9]+)?$|^[+-]?(inf|Inf|INF)$"
 _INTEGER = r"^[+-]?[0-9]{1,18}$"

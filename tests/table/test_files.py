@@ -3,6 +3,7 @@
 import re
 from functools import partial
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -187,3 +188,21 @@ def test_a_faulty_cell_of_a_file_is_told_with_its_place_there(tmp_path, kind):
         assert str(problem).startswith(f"{path}, {place}, column y, value '???': is no finite number; ")
     with pytest.raises(InputError, match=f"^{re.escape(str(path))}, column when: is named as the session, "):
         ssf.fit_table(path, "x ~ a", session="when")
+
+
+def test_none_is_a_label_among_others_and_no_number(tmp_path):
+    file = tmp_path / "doses.csv"
+    file.write_text("drug,dose,y\nNone,none,1\nA,3,2\nNA,4,3\n")
+    frame = read_table(file)[0]
+    assert frame["drug"].fillna("").tolist() == ["None", "A", ""]
+    assert frame["dose"].fillna(0.0).tolist() == [0.0, 3.0, 4.0]
+
+
+@pytest.mark.parametrize("first", [2201, 2601, 99990])
+def test_numbers_of_runs_are_no_years(tmp_path, first):
+    """A year that nanoseconds do not reach had ended in a traceback."""
+    x = np.arange(36.0)
+    frame = pd.DataFrame({"run": first + np.arange(36) // 12, "x": x, "y": 2.0 * x + np.sin(7.0 * x)})
+    frame.to_csv(file := tmp_path / "runs.csv", index=False)
+    found = ssf.diagnose_table(file, "y ~ a + b*x", session="run", gain=False)
+    assert found.table.unnamed_time == ""

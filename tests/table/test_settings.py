@@ -73,3 +73,29 @@ def test_replicates_of_a_right_law_raise_no_more_alarms_than_promised(number):
         frame = frame.assign(y=2.0 + 0.3 * frame["x"] + noise)
         alarms += bool(ssf.diagnose_table(frame, LAW, gain=False, alpha=ALPHA).findings)
     assert alarms <= binom.isf(1e-3, number, ALPHA)
+
+
+def factorial(seed, alone, together, n=144):
+    """Labels a and b, with effects of strength 12 that each has alone and that both have beyond their sum."""
+    rng = np.random.default_rng([seed, n])
+    a, b = (rng.permutation(np.resize(np.arange(k), n)) for k in (4, 3))
+    cells = rng.standard_normal((4, 3))
+    cells -= cells.mean(axis=0) + cells.mean(axis=1)[:, None] - cells.mean()
+    parts = [rng.standard_normal(4)[a], rng.standard_normal(3)[b]] * alone + [cells[a, b]] * together
+    effect = sum(12.0 * (one - one.mean()) / np.linalg.norm(one - one.mean()) for one in parts)
+    who, what = np.array(list("abcd"))[a], np.array(list("uvw"))[b]
+    return pd.DataFrame({"who": who, "what": what, "y": 3.0 + effect + rng.standard_normal(n)})
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("alone", "together", "found"),
+    [
+        (True, False, {"covariate:who", "covariate:what"}),
+        (False, True, {"settings of who and what"}),
+        (False, False, set()),
+    ],
+)
+def test_what_two_labels_do_together_is_told_from_what_each_does_alone(seed, alone, together, found):
+    diagnosis = ssf.diagnose_table(factorial(seed, alone, together), "y ~ m", gain=False)
+    assert {one.carrier or one.cause for one in diagnosis.findings} == found

@@ -70,7 +70,10 @@ def test_verdicts(named, nothing, outlying, unnamed):
     assert [finding.cause for finding in outlying.findings] == ["outliers", "viscous-by-direction"]
     assert unnamed.verdict == "unknown cause"
     assert "Nothing is wrong that this table can show" in str(nothing)
-    assert "2 values of F do not belong to the rest" in str(outlying)
+    text = " ".join(str(outlying).split())
+    rows = outlying.findings[0].traverses["departure"].abs().sort_values(ascending=False).index + 1
+    assert f"2 values of F do not belong to the rest: row {rows[0]} (" in text
+    assert re.search(rf"row {rows[0]} \([+−][\d.]+ N\) and row {rows[1]} \([+−][\d.]+ N\)", text)
 
 
 def test_structure_without_a_name_says_what_to_do_next(unnamed):
