@@ -18,7 +18,8 @@ from stickslip_fit.causes.roles import ROW_NUMBER
 from stickslip_fit.errors import InputError, InputIssue, shorten
 from stickslip_fit.logs._numbers import is_empty_number
 
-MAX_SHARE_LOST = 0.1  # of the rows, for the sake of columns that only might matter
+# Of the rows, for the sake of a column that only might matter, and of all of these.
+MAX_SHARE_LOST, MAX_SHARE_LOST_IN_ALL = 0.1, 0.2
 MAX_ROWS_NAMED = 8
 MIN_NINES = 3  # of a number that stands for a missing value; two where it comes more than once
 OVERFLOW = 9e37  # and above: what instruments write for an overflow, SCPI 1999, 7.2.1.4
@@ -77,12 +78,15 @@ def leave_out_gaps(frame: pd.DataFrame, used: Collection[str]) -> tuple[pd.DataF
     lost, filled = np.zeros(len(frame), dtype=bool), list[str]()
     notes = [*filter(None, (_describe_text(cells) for name, cells in others.items() if name not in gaps))]
     for name in sorted((name for name in gaps if gaps[name].any()), key=lambda name: int(gaps[name].sum())):
-        if np.count_nonzero(lost | gaps[name]) <= MAX_SHARE_LOST * len(frame):
+        own, together = int(np.count_nonzero(gaps[name])), int(np.count_nonzero(lost | gaps[name]))
+        is_few = own <= MAX_SHARE_LOST * len(frame)
+        if is_few and together <= MAX_SHARE_LOST_IN_ALL * len(frame):
             lost |= gaps[name]
             filled.append(name)
         else:
-            cells = pluralize(int(np.count_nonzero(gaps[name])), "cell")
-            notes.append(f"The column {name} is left out: {cells} of {len(frame):,} are empty.")
+            why = f", and with those of other columns {together:,} rows would be lost" * is_few
+            cells = pluralize(own, "cell")
+            notes.append(f"The column {name} is left out: {cells} of {len(frame):,} are empty{why}.")
     infinite = any(others[name].dtype.kind == "f" and np.isinf(others[name]).any() for name in filled)
     state = "is empty or infinite" if infinite else "is empty"
     return frame[~lost], (*_describe_lost(lost, filled, frame.index, state), *notes)

@@ -48,6 +48,7 @@ RARE_TABLES, MAX_TABLES = 1e3, 1e6  # of which noise leaves one with such a valu
 CLEAR_CORRELATION, CLIP_SD = 3.0, 3.0  # standard errors of one of neighbours; of residuals in it
 MIN_KEPT = 0.1  # least share of a residual that a fit leaves
 GROUP = "group"
+ROUNDING = 1e-6  # of the scatter of the response
 MAX_PARAMETERS_NAMED, MAX_OUTLIERS_NAMED = 4, 5
 
 
@@ -199,7 +200,17 @@ class TableWords(Words):
                 f" What to do: find out what {describe_stand_in(unnamed[0])}, put that into the table as a "
                 "column or offer it as a cause of your own, and diagnose again."
             )
+        if self._is_rounding:
+            return (
+                f"{what} {cut}. What it leaves of {table.response} in all rows is rounding: {table.response} "
+                "may have been computed from these columns. If so, leave them out, and diagnose again."
+            )
         return f"{what} {cut}; the noise is {noise}.{advice}"
+
+    @property
+    def _is_rounding(self) -> bool:
+        """Whether a law predicts the response as exactly as its numbers are written."""
+        return self.diagnosis.repeatability < ROUNDING * self.table.response_sd
 
     def _describe_no_misfit(self) -> str:
         diagnosis, table = self.diagnosis, self.table
@@ -238,7 +249,7 @@ class TableWords(Words):
     def _describe_suspects(self) -> list[str]:
         """The rows that are far off beside the others, as a sentence; none where there are none."""
         diagnosis, selection = self.diagnosis, self.diagnosis.selection
-        if not np.isfinite(diagnosis.repeatability):
+        if not np.isfinite(diagnosis.repeatability) or self._is_rounding:
             return []
         linearized = selection.linearized
         size, is_far = _measure_departures(linearized, diagnosis.alpha)

@@ -55,6 +55,7 @@ from stickslip_fit.diagnosis.time_or_columns import prefer_columns
 from stickslip_fit.errors import InputError, InputIssue, check_alpha, check_count
 from stickslip_fit.estimation.table_fit import TableFit
 from stickslip_fit.estimation.table_law import fit_table_law
+from stickslip_fit.logs._numbers import with_numbers
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 
 MAX_RATIO = 1e15  # of a response to their median, beside which the others are lost in rounding
@@ -142,6 +143,7 @@ def diagnose_table(
     with name_file(frame, sheet):
         table, source = read_rows(frame, sheet, roles, used, levels)
         table, notes = leave_out_gaps(table, {*used, *levels, *roles.columns.values()})
+        table = with_numbers(table, used)  # the text of a column may have stood in a row that was left out
         source["notes"] = (*source["notes"], *notes, *describe_choices(table, roles, law))
         roles = replace(roles, time_unit=declared_time_unit(law, table, time))
         if shared is not None:

@@ -28,6 +28,7 @@ from stickslip_fit.logs._numbers import with_numbers
 from stickslip_fit.logs.table_file import read_table_file
 from stickslip_fit.units import time_unit_of
 
+CALENDAR, YEAR_TOL = (1700.0, 2100.0), 0.02  # years; of a month, which has been rounded
 PARAMETER_LETTERS = "abcd"  # names of a formula that look like parameters
 
 
@@ -122,10 +123,10 @@ def describe_choices(table: pd.DataFrame, roles: TableRoles, law: Any) -> tuple[
     if roles.time in table and (note := read_times(table[roles.time]).note):
         notes.append(f"Of the time {roles.time}, {note}.")
     if _is_number(table, roles.time) and not stated_time_unit(law, str(roles.time)):
-        notes.append(
-            f"The times in {roles.time} count as seconds, as neither the column's name nor the law gives a "
-            "unit."
-        )
+        counted = "seconds, as neither the column's name nor the law gives a unit"
+        if are_parts_of_years(table[roles.time]):
+            counted = "years, as they are months or quarters of calendar years"
+        notes.append(f"The times in {roles.time} count as {counted}.")
     letters = [name for name in getattr(law, "names", ()) if name in PARAMETER_LETTERS and name in table]
     if letters:
         columns = "is the column of that name" if len(letters) == 1 else "are the columns of these names"
@@ -166,8 +167,25 @@ def describe_late_columns(rows: pd.DataFrame, time_unit: str) -> tuple[str, ...]
 
 
 def declared_time_unit(law: Any, table: pd.DataFrame, time: str | None) -> str:
-    """The unit of a time column of numbers: as stated, or seconds."""
-    return (_is_number(table, time) and stated_time_unit(law, str(time))) or "s"
+    """The unit of a time column of numbers: as stated, years where it shows these, or seconds."""
+    if not _is_number(table, time):
+        return "s"
+    return stated_time_unit(law, str(time)) or ("years" if are_parts_of_years(table[time]) else "s")
+
+
+def are_parts_of_years(cells: pd.Series) -> bool:
+    """Whether numbers are months or quarters of calendar years, some of them within a year.
+
+    Examples
+    --------
+    >>> [are_parts_of_years(pd.Series(times)) for times in ([1959.0, 1959.0833, 1959.1667], [1959.0, 1960.0])]
+    [True, False]
+    """
+    values = cells.dropna().to_numpy(float)
+    if not len(values) or values.min() < CALENDAR[0] or values.max() > CALENDAR[1]:
+        return False
+    months = 12.0 * values
+    return bool(np.any(values % 1 > YEAR_TOL) and np.all(np.abs(months - np.round(months)) < YEAR_TOL))
 
 
 def stated_time_unit(law: Any, time: str) -> str | None:

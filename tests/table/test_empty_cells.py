@@ -100,6 +100,14 @@ def test_a_column_with_many_empty_cells_is_left_out_and_named(table):
     assert answer.untestable["covariate:T"] == "7 of its cells are empty or infinite"
 
 
+def test_columns_with_few_empty_cells_each_are_kept_until_a_fifth_of_the_rows_is_lost(table):
+    gaps = {f"T{k}": np.where(np.arange(N) // 6 == k, np.nan, table["T"]) for k in range(3)}
+    answer = diagnose(table.assign(**gaps), generic_causes=None)
+    assert answer.table.rows == N - 12
+    why = "6 cells of 60 are empty, and with those of other columns 18 rows would be lost."
+    assert f"The column T2 is left out: {why}" in answer.table.notes
+
+
 def test_an_infinite_cell_of_a_column_is_a_gap(table):
     answer = diagnose(put(table, "T", np.inf, None))
     assert answer.table.notes == ("2 of 60 rows are left out, where T is empty or infinite: rows 4 and 7.",)
@@ -170,3 +178,8 @@ def test_a_number_of_nines_far_from_all_others_counts_as_empty_and_is_named(tabl
 def test_what_may_have_been_measured_stays(table, column, values):
     frame = table.assign(x=table["x"] * 10 + 980.0)
     assert diagnose(put(frame, column, *values).astype({column: float})).table.rows == N
+
+
+def test_a_text_in_a_row_that_is_left_out_does_not_make_its_column_one_of_texts(table):
+    bad = put(put(table, "T", np.nan), "x", "over")
+    assert diagnose(bad).table.rows == N - 1

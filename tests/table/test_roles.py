@@ -178,6 +178,23 @@ def test_the_answer_says_that_times_without_a_unit_count_as_seconds(rows, name, 
     assert found.table.notes == (note,) * is_guess
 
 
+@pytest.mark.parametrize(
+    ("times", "unit"),
+    [
+        (1959.0 + np.arange(60) / 12, "years"),
+        (np.round(1959.0 + np.arange(60) / 12, 3), "years"),
+        (1801.25 + np.arange(60) / 4, "years"),
+        (1959.0 + np.arange(60), "s"),
+        (np.arange(60) / 12, "s"),
+        (1959.0 + np.arange(60) / 10, "s"),
+    ],
+)
+def test_months_and_quarters_of_calendar_years_are_years(rows, times, unit):
+    found = ssf.diagnose_table(rows.assign(when=times), LAW, time="when", generic_causes=(), gain=False)
+    assert found.table.time_unit == unit
+    assert ("count as years" in found.table.notes[0]) == (unit == "years")
+
+
 def test_directions_are_signs_or_two_values():
     for cells, signs in (
         ([0, 1, 1], [-1, 1, 1]),

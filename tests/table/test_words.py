@@ -68,7 +68,7 @@ def test_of_two_columns_that_cannot_be_told_apart_both_are_named():
 
 def test_carriers_have_the_names_that_the_table_has(independent):
     table = replace(independent.table, roles={"time": "t", "group": "Lot"})
-    assert describe_table_carrier("group", table) == "follows Lot"
+    assert describe_table_carrier("group", table) == "differs between values of Lot"
     assert describe_table_carrier("covariate:t to some extent", table) == "follows t to some extent"
     assert describe_table_carrier("time", table) == "changes slowly with time"
     in_days = replace(table, roles={"time": "t", "session": "day"})
@@ -179,3 +179,14 @@ def test_an_offset_by_direction_says_which_way_the_response_is_higher(ways):
     said = re.findall(r"(higher|lower) by .+? where (?:way|it) is ([\w ]+)", text)
     names = ("unloading", "loading") if len(ways) == 2 else ("below 0", "above 0")
     assert dict(said) == dict(zip(("higher", "lower"), names, strict=True))
+
+
+def test_a_response_that_is_computed_from_columns_is_told():
+    rng = np.random.default_rng(1)
+    frame = pd.DataFrame(
+        {"x": rng.uniform(size=60), "first": rng.poisson(9, 60), "second": rng.poisson(5, 60)}
+    )
+    frame = frame.assign(both=frame["first"] + frame["second"])
+    text = " ".join(str(ssf.diagnose_table(frame, "both ~ a + b*x").summary()).split())
+    assert "both may have been computed from these columns" in text
+    assert "Check row" not in text
