@@ -37,6 +37,7 @@ from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, TO_SOME_EXTENT, Findin
 from stickslip_fit.diagnosis.gross_errors import TAIL_DF, UNIT_MEDIAN
 from stickslip_fit.diagnosis.linearized import LinearizedFit
 from stickslip_fit.diagnosis.misfit import UNKNOWN
+from stickslip_fit.diagnosis.residuals import fitted_effect
 from stickslip_fit.diagnosis.result import Diagnosis
 from stickslip_fit.logs.schema import COVARIATE_PREFIX
 
@@ -48,6 +49,7 @@ RARE_TABLES, MAX_TABLES = 1e3, 1e6  # of which noise leaves one with such a valu
 CLEAR_CORRELATION, CLIP_SD = 3.0, 3.0  # standard errors of one of neighbours; of residuals in it
 MIN_KEPT = 0.1  # least share of a residual that a fit leaves
 GROUP = "group"
+FEW_ROWS, MAX_FEW_ROWS, MIN_SHARE_OF_FEW = 0.05, 5, 2.0 / 3.0  # of the rows; of what speaks for a finding
 ROUNDING = 1e-6  # of the scatter of the response
 MAX_PARAMETERS_NAMED, MAX_OUTLIERS_NAMED = 4, 5
 
@@ -116,7 +118,28 @@ class TableWords(Words):
         sides = map(self.describe_side_effect, others)
         told = f"{self.warn_of_new_session()}{self.describe_finding(first)}."
         noise = describe_noise(self.diagnosis)
-        return [told, *sides, self._describe_gain(), *noise, *self._describe_suspects()]
+        few = self._tell_few_rows()
+        return [told, *sides, self._describe_gain(), *few, *noise, *self._describe_suspects()]
+
+    def _tell_few_rows(self) -> list[str]:
+        """Which findings rest on few rows, as sentences: by what their law predicts these better."""
+        selection, linearized = self.diagnosis.selection, self.diagnosis.selection.linearized
+        in_law = {id(one.version) for one in selection.law_causes}
+        found, told = [one for one in self.diagnosis.findings if id(one.version) in in_law], []
+        number = min(int(FEW_ROWS * len(linearized)), MAX_FEW_ROWS)
+        for name, finding in zip(name_findings(found), found, strict=True) if number else ():
+            effect = linearized.whiten(fitted_effect(selection, finding.version)[:, None])[:, 0]
+            better = (linearized.residual + effect) ** 2 - linearized.residual**2
+            rows = np.argsort(-better)[:number]
+            share = float(better[rows].sum()) / max(float(better.sum()), np.finfo(float).tiny)
+            if MIN_SHARE_OF_FEW < share <= 1.0:
+                numbers = join_words([str(one + 1) for one in sorted(linearized.rows[ROW_NUMBER].iloc[rows])])
+                told.append(
+                    f"{100 * share:.0f} % of what speaks for {name.replace(f'{UNKNOWN}: ', 'the ')} is in "
+                    f"{pluralize(number, 'row')} of {len(linearized):,} ({numbers}): check "
+                    f"{'these' if number > 1 else 'it'} first."
+                )
+        return told
 
     def describe_carrier(self, carrier: str) -> str:
         return describe_table_carrier(carrier, self.table)

@@ -190,3 +190,17 @@ def test_a_response_that_is_computed_from_columns_is_told():
     text = " ".join(str(ssf.diagnose_table(frame, "both ~ a + b*x").summary()).split())
     assert "both may have been computed from these columns" in text
     assert "Check row" not in text
+
+
+@pytest.mark.parametrize("far", [True, False])
+def test_what_rests_on_few_rows_is_told_with_these(far):
+    """Three rows at the end of x, which are no outliers there; or a curve of all rows."""
+    rng = np.random.default_rng(3)
+    x = np.sort(rng.uniform(0.0, 10.0, 64))
+    effect = np.where(np.arange(64) > 60, -2.0, 0.0) if far else 0.05 * (x - 5.0) ** 2
+    frame = pd.DataFrame({"x": x, "y": 1.0 + x + effect + 0.3 * rng.standard_normal(64)})
+    found = ssf.diagnose_table(frame, "y ~ a + b*x", gain=False)
+    text = " ".join(str(found.summary()).split())
+    assert found.findings[0].cause == "unknown"
+    assert ("is in 3 rows of 64 (62, 63 and 64): check these first" in text) == far
+    assert ("check these first" in text) == far
