@@ -84,11 +84,12 @@ def test_a_group_named_by_its_role_is_told_by_the_columns_name():
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("where", [in_label, at_values, at_values_of_the_law])
-def test_alarms_in_uneven_noise_are_as_rare_as_stated(where):
-    """Of 200 tables; one in a hundred may raise an alarm, and one more be taken for outliers."""
+def test_large_noise_somewhere_is_rarely_taken_for_anything_else(where):
+    """Of 200 tables; where few rows show that the noise differs, the largest may count as outliers."""
     runs = [diagnose(seed, where, n=n) for seed in range(100) for n in (60, 200)]
-    alarms = sum(one.verdict != "nothing wrong" for one in runs)
-    assert alarms <= binom(len(runs), 0.02).ppf(0.999)
+    found = [{one.cause for one in run.findings} for run in runs]
+    assert sum(bool(one - {"outliers"}) for one in found) <= binom(len(runs), 0.02).ppf(0.999)
+    assert sum("outliers" in one for one in found) <= binom(len(runs), 0.06).ppf(0.999)
 
 
 @pytest.mark.slow
