@@ -39,7 +39,8 @@ MAX_UNTESTABLE_NAMED = 4
 MIN_CORRELATION = 0.5  # of an effect with a column, to be told as rising or falling
 MIN_LEFT = 1e-3  # of a column's spread, of which less is rounding
 MIN_BULGE = 0.25  # of its range, by which it is larger or smaller at middle values
-MIN_REST = 0.3  # probability of structure without a name beside what is named, to be told
+# Least probability and largest p-value of structure without a name beside what is named, to be told.
+MIN_REST, MAX_REST_P_VALUE = 0.3, 0.1
 MIN_SHARE, NEARLY_ALL = 0.05, 0.9  # of a structure that its closest cause explains, to be told
 
 
@@ -92,7 +93,8 @@ class Words(ABC):
                 "diagnose again."
             ]
         probability = diagnosis.inclusion.get(UNKNOWN) or 0.0
-        if probability < MIN_REST or any(one.cause == UNKNOWN for one in diagnosis.findings):
+        is_likely = probability >= MIN_REST and last.p_value <= MAX_REST_P_VALUE
+        if not is_likely or any(one.cause == UNKNOWN for one in diagnosis.findings):
             return []
         found = ""
         if last.p_value >= allocate_alpha(diagnosis.alpha):
