@@ -134,8 +134,8 @@ def _findings_tables(diagnosis: Diagnosis, words: Words) -> list[Table]:
         lacking = "Of what has no name, the interval's upper end has what its form may lack, too. "
     note = (
         f"Effect: rms over all {words.info.row}s of what the cause does to {words.info.response}{beside}, "
-        f"beyond what the law's own parameters absorb; its interval allows for the search, which finds "
-        f"what noise has made larger. {lacking}p: the chance of anything as far off, "
+        "beyond what the law's own parameters absorb; its interval allows for selection: what is barely "
+        f"found, noise has often made larger. {lacking}p: the chance of anything as far off, "
         "anywhere that was searched, if nothing were wrong."
     )
     found = _without_empty("What is wrong", columns, rows, "joints", note=note)
