@@ -76,7 +76,9 @@ def test_columns_beyond_the_end_of_the_search_are_told():
     assert "the search ends after 6 findings" in text
 
 
-@pytest.mark.parametrize(("apart", "cancel"), [(0.05, True), (1.0, False)])
+@pytest.mark.parametrize(
+    ("apart", "cancel"), [(0.05, True), pytest.param(1.0, False, marks=pytest.mark.slow)]
+)
 def test_columns_whose_effects_cancel_are_told(apart, cancel):
     """The second column is the first one but for a small part, and acts the other way."""
     frame = table(0, lambda frame: 0.1 * frame["c0"] - 3.0 * apart * frame["c1"], 2)
