@@ -66,6 +66,8 @@ def _compare_labels(ratio: Array, labels: npt.NDArray[np.object_], name: str) ->
     """The noise of some sessions, or rows with some labels of a column, beside that of others."""
     by_label = pd.Series(ratio).groupby(labels).median()
     is_noisy = by_label > by_label.min() * min(NOISY, np.sqrt(by_label.max() / by_label.min()))
+    if not is_noisy.any():  # what else the noise depends on hides it
+        return f"it is not the same in all values of {name}"
     times = float(by_label[is_noisy].median() / by_label[~is_noisy].median())
     noisy, sessions = [str(one) for one in by_label.index[is_noisy]], name == "session"
     where = f"{name}{'s' * (sessions and len(noisy) > 1)} {join_words(noisy)}"
@@ -76,6 +78,8 @@ def _compare_labels(ratio: Array, labels: npt.NDArray[np.object_], name: str) ->
 
 def _describe_range(values: Array, is_noisy: BoolArray) -> str:
     """From where to where the noise is large; empty where it is not so in between."""
+    if not is_noisy.any():
+        return ""
     low, high = float(values[is_noisy].min()), float(values[is_noisy].max())
     inside = (values >= low) & (values <= high)
     if np.sum(inside & ~is_noisy) > MAX_QUIET * inside.sum():

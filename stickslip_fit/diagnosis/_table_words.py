@@ -126,8 +126,9 @@ class TableWords(Words):
         selection, linearized = self.diagnosis.selection, self.diagnosis.selection.linearized
         in_law = {id(one.version) for one in selection.law_causes}
         found, told = [one for one in self.diagnosis.findings if id(one.version) in in_law], []
-        number = min(int(FEW_ROWS * len(linearized)), MAX_FEW_ROWS)
-        for name, finding in zip(name_findings(found), found, strict=True) if number else ():
+        if not (number := min(int(FEW_ROWS * len(linearized)), MAX_FEW_ROWS)):
+            return []
+        for name, finding in zip(name_findings(found), found, strict=True):
             effect = linearized.whiten(fitted_effect(selection, finding.version)[:, None])[:, 0]
             better = (linearized.residual + effect) ** 2 - linearized.residual**2
             rows = np.argsort(-better)[:number]

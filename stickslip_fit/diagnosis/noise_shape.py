@@ -24,7 +24,7 @@ TAIL_DF = (5.0, 200.0)  # of Student t noise
 # Skewed
 MIN_SKEW_LOG_RATIO = 6.0  # nats over symmetric noise
 MAX_SKEW = 1.5  # of g; 1 is the log-normal distribution of a standard normal exponent
-FIRST_SKEW, MIN_G = 0.3, 1e-3  # from which g is looked for; below which it counts as 0
+FIRST_SKEW, MIN_G = 0.3, 1e-3  # from which g is looked for; below which a series is used
 TAILS_TRIED = (5.0, 8.0, 15.0, 200.0)  # of symmetric noise
 MIN_INSIDE = 1e-12
 OPTIONS = {"maxiter": 400, "ftol": 1e-7}
