@@ -50,6 +50,7 @@ PRIOR_DF = (4.0, 1e4)  # of what drives have in common; with the most, they do n
 MIN_SD = 1e-7  # of a log's responses
 MIN_CELL_ROWS, CLIP_SD = 3, 3.0  # rows whose mean is subtracted; clipping of residuals in it
 MIN_UNEVEN_LOG_ODDS = 3.0  # nats over structure, where residuals show either
+SMOOTH_SD, MIN_NOISY_ROWS = 2.5, 7  # standard errors of that test of structure; rows
 CLEAR_MEAN = 3.0  # standard errors of a mean that is no noise
 # Outliers
 TAIL_PRIOR = dict(zip(TAIL_DF, (0.5, 0.25, 0.15, 0.1), strict=True))  # heavy tails are the rule
@@ -267,7 +268,25 @@ def _estimate_unevenness(
     clear = (rows >= MIN_CELL_ROWS) & (np.abs(mean) > CLEAR_MEAN * error)
     within = (residuals.values - mean[cell]) * np.sqrt(rows / np.maximum(rows - 1, 1))[cell]
     residuals = replace(residuals, values=np.where(clear[cell], within, residuals.values))
-    return estimate_unevenness(residuals, group_rows(linearized, kind, residuals, columns))
+    uneven = estimate_unevenness(residuals, group_rows(linearized, kind, residuals, columns))
+    numbers = [values for name in columns if (values := linearized.columns[name]).dtype.kind in "fiu"]
+    # What changes steadily along a column where it is large is structure.
+    if any(_is_smooth(residuals.values, uneven.ratio > 1.0, values.astype(float)) for values in numbers):
+        return Unevenness(np.ones(len(linearized)))
+    return uneven
+
+
+def _is_smooth(residual: Array, is_noisy: BoolArray, values: Array) -> bool:
+    """Whether residuals of noisy rows, all of shape (n,), resemble those beside them in a column.
+
+    By the mean square of successive differences, of variance 1 / n in independent noise (J. von Neumann, Ann.
+    Math. Stat. 12:367, 1941).
+    """
+    own = residual[is_noisy][np.argsort(values[is_noisy], kind="stable")]
+    if len(own) < MIN_NOISY_ROWS:
+        return False
+    ratio = float(np.sum(np.diff(own) ** 2)) / (2.0 * float(np.sum(own**2)))
+    return ratio < 1.0 - SMOOTH_SD / np.sqrt(len(own))
 
 
 def _subtract_cell_means(deviation: Array, cell: IntArray) -> Array:

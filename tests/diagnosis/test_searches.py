@@ -26,7 +26,7 @@ def searches(monkeypatch):
     """The number of rows of every search; each finds that its first row alone made its finding."""
     sizes = []
 
-    def select(problem, alpha, bootstrap, rng):
+    def select(problem, *, alpha, **_):
         sizes.append(len(problem))
         found = pipeline.empty_selection(problem)
         return replace(found, influential=np.array([0]), p_value=alpha / 2)

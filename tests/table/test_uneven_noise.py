@@ -76,6 +76,17 @@ def test_a_cause_beside_noise_that_is_larger_in_a_label_is_as_precise_as_weights
     assert one.effect.high - one.effect.low == pytest.approx(2 * 1.96 * error * rms, rel=0.15)
 
 
+def test_what_changes_along_a_column_in_one_label_or_at_its_end_is_no_noise():
+    frame = make(2, lambda frame: frame["x"] < 0.0)
+    steep = frame.assign(y=frame["y"] + (frame["lot"] == "B") * (frame["x"] - 0.5))
+    ends = frame.assign(y=frame["y"] + 400.0 * np.maximum(frame["x"] - 0.9, 0.0) ** 2)
+    causes = [
+        [(one.cause, one.carrier) for one in ssf.diagnose_table(each, "y ~ a + b*x", gain=False).findings]
+        for each in (steep, ends)
+    ]
+    assert causes == [[("covariate:lot", "")], [("unknown", "x")]]
+
+
 def test_a_group_named_by_its_role_is_told_by_the_columns_name():
     frame = make(0, in_label)
     found = ssf.diagnose_table(frame, "y ~ a + b*x", group="lot", gain=False)
