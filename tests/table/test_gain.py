@@ -78,7 +78,7 @@ def pump():
     [
         (pump(), "Q ~ k*sqrt(dp)", None),
         (pump(), "Q ~ k*sqrt(dp)", "order"),
-        (table(1, sum_of_columns(3)), "y ~ a + b*x", None),
+        (table(1, sum_of_columns(4)), "y ~ a + b*x", None),
     ],
     ids=["any order", "in order", "columns"],
 )
