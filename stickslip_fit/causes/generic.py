@@ -178,7 +178,8 @@ class SteadyDrift(AddedTerm):
 
     @staticmethod
     def _name_one(time_unit: str) -> str:
-        return time_unit.removesuffix("s") if len(time_unit) > len("ms") else time_unit
+        is_word = len(time_unit) > len("ms")  # and no symbol
+        return time_unit.removesuffix("s") if is_word else time_unit
 
     def _unit_per(self, time: str) -> TableUnit:
         return TableUnit(f"{self.unit}/{time}" if self.unit else f"per {time}")

@@ -74,6 +74,11 @@ class TableRoles:
             object.__setattr__(self, "time_unit", "rows")
 
     @property
+    def number_columns(self) -> tuple[str, ...]:
+        """The columns of roles that have to be of numbers."""
+        return tuple(filter(None, [self.position, self.sigma]))
+
+    @property
     def columns(self) -> dict[str, str]:
         """The column of each role that is given."""
         named = {role: getattr(self, role) for role in ROLES}
@@ -122,7 +127,7 @@ def prepare_rows(frame: pd.DataFrame, roles: TableRoles, numbers: Iterable[str] 
     ]
     if issues:
         raise InputError(issues)
-    cells = dict.fromkeys([*numbers, *filter(None, [roles.position, roles.sigma])])
+    cells = dict.fromkeys([*numbers, *roles.number_columns])
     issues += [issue for name in cells for issue in find_bad_numbers(frame[name])]
     if roles.sigma and not issues:
         bad = pd.to_numeric(frame[roles.sigma]).to_numpy(float) <= 0

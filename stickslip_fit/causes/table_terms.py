@@ -28,6 +28,7 @@ from stickslip_fit.causes.table_cause import Effect, Stage
 from stickslip_fit.laws import Rows
 from stickslip_fit.units import TableUnit
 
+GROUP = "group"  # the carrier that is what belongs together
 PREDICTION = "prediction"  # the carrier that is the response as the law predicts it
 
 

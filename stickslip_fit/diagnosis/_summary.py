@@ -31,7 +31,7 @@ from stickslip_fit.diagnosis._log_words import LogWords, knows_calibration
 from stickslip_fit.diagnosis._stage_summary import stage_sections
 from stickslip_fit.diagnosis._table_words import TableWords
 from stickslip_fit.diagnosis._unknown_summary import explains_tables, name_findings
-from stickslip_fit.diagnosis._words import Words, baseline_name, describe_proposals
+from stickslip_fit.diagnosis._words import Words, baseline_name, describe_proposals, largest_departures
 from stickslip_fit.diagnosis.cross_validation import MIN_SESSIONS
 from stickslip_fit.diagnosis.experiments import find_inseparable_pairs
 from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, Finding, Gain, NextTraverse, TableInfo, shown_size
@@ -201,7 +201,7 @@ def _scope(parameter: SizedParameter) -> str:
 def _outliers_table(finding: Finding, words: Words) -> Table:
     outliers = finding.traverses
     assert outliers is not None
-    largest = outliers.loc[outliers["departure"].abs().sort_values(ascending=False).index].head(MAX_OUTLIERS)
+    largest = largest_departures(outliers, MAX_OUTLIERS)
     cells = [
         words.outlier_cells(row) | {"residual": words.info.format_signed(float(row["departure"]))}
         for _, row in largest.iterrows()

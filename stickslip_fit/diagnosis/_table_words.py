@@ -5,7 +5,7 @@ Nothing here converts a unit: a table is in whatever units its columns have.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,15 +23,15 @@ from stickslip_fit._format import (
 )
 from stickslip_fit._typing import Array, BoolArray
 from stickslip_fit.causes.roles import ORDER, ROW_NUMBER
-from stickslip_fit.causes.table_terms import PREDICTION
+from stickslip_fit.causes.table_terms import GROUP, PREDICTION
 from stickslip_fit.diagnosis._noise_words import describe_noise
 from stickslip_fit.diagnosis._unknown_summary import (
     PERIOD_OF,
     SETTINGS_OF,
     describe_stand_in,
-    name_findings,
+    name_in_sentence,
 )
-from stickslip_fit.diagnosis._words import Words, lower_first
+from stickslip_fit.diagnosis._words import Words, largest_departures, lower_first
 from stickslip_fit.diagnosis.autocorrelation import MEDIAN_OF_NORMAL
 from stickslip_fit.diagnosis.finding import GIVEN_BEFORE, TO_SOME_EXTENT, Finding, TableInfo, shown_size
 from stickslip_fit.diagnosis.gross_errors import TAIL_DF, UNIT_MEDIAN
@@ -48,9 +48,8 @@ SUSPECT_SD, MAX_SUSPECTS = 5.0, 3  # of a row beside the others; rows
 RARE_TABLES, MAX_TABLES = 1e3, 1e6  # of which noise leaves one with such a value; more are not counted
 CLEAR_CORRELATION, CLIP_SD = 3.0, 3.0  # standard errors of one of neighbours; of residuals in it
 MIN_KEPT = 0.1  # least share of a residual that a fit leaves
-GROUP = "group"
 FEW_ROWS, MAX_FEW_ROWS, MIN_SHARE_OF_FEW = 0.05, 5, 2.0 / 3.0  # of the rows; of what speaks for a finding
-ROUNDING = 1e-6  # of the scatter of the response
+SHARE_OF_ROUNDING = 1e-6  # of the scatter of the response
 MAX_PARAMETERS_NAMED, MAX_OUTLIERS_NAMED = 4, 5
 
 
@@ -128,7 +127,7 @@ class TableWords(Words):
         found, told = [one for one in self.diagnosis.findings if id(one.version) in in_law], []
         if not (number := min(int(FEW_ROWS * len(linearized)), MAX_FEW_ROWS)):
             return []
-        for name, finding in zip(name_findings(found), found, strict=True):
+        for name, finding in zip(name_in_sentence(found), found, strict=True):
             effect = linearized.whiten(fitted_effect(selection, finding.version)[:, None])[:, 0]
             better = (linearized.residual + effect) ** 2 - linearized.residual**2
             rows = np.argsort(-better)[:number]
@@ -136,7 +135,7 @@ class TableWords(Words):
             if MIN_SHARE_OF_FEW < share <= 1.0:
                 numbers = join_words([str(one + 1) for one in sorted(linearized.rows[ROW_NUMBER].iloc[rows])])
                 told.append(
-                    f"{100 * share:.0f} % of what speaks for {name.replace(f'{UNKNOWN}: ', 'the ')} is in "
+                    f"{100 * share:.0f} % of what speaks for {name} is in "
                     f"{pluralize(number, 'row')} of {len(linearized):,} ({numbers}): check "
                     f"{'these' if number > 1 else 'it'} first."
                 )
@@ -162,15 +161,20 @@ class TableWords(Words):
 
     def _describe_outliers(self, outliers: pd.DataFrame) -> str:
         """Which rows do not belong to the rest, the largest departures first."""
-        by_size = outliers.loc[outliers["departure"].abs().sort_values(ascending=False).index]
-        named = [
-            f"row {row + 1} ({self.table.format_signed(float(departure))} {self.table.unit}".rstrip() + ")"
-            for row, departure in zip(by_size[ROW_NUMBER], by_size["departure"], strict=True)
-        ][:MAX_OUTLIERS_NAMED]
-        if more := len(by_size) - len(named):
+        largest = largest_departures(outliers, MAX_OUTLIERS_NAMED)
+        named = self._name_rows(largest[ROW_NUMBER], largest["departure"])
+        if more := len(outliers) - len(largest):
             named.append(f"{more:,} more")
-        count, do = pluralize(len(by_size), "value"), "does" if len(by_size) == 1 else "do"
+        count, do = pluralize(len(outliers), "value"), "does" if len(outliers) == 1 else "do"
         return f"{count} of {self.table.response} {do} not belong to the rest: {join_words(named)}"
+
+    def _name_rows(self, numbers: Iterable[int], departures: Iterable[float]) -> list[str]:
+        """Rows, counted from 0, each with by how much it is off."""
+        signed, unit = self.table.format_signed, f" {self.table.unit}".rstrip()
+        return [
+            f"row {number + 1} ({signed(float(off))}{unit})"
+            for number, off in zip(numbers, departures, strict=True)
+        ]
 
     def describe_proposal(self, finding: Finding) -> str:
         text = (
@@ -202,7 +206,7 @@ class TableWords(Words):
             alone = sum(len(one.traverses) for one in diagnosis.findings if one.traverses is not None) == 1
             left_out = "It is left out" if alone else "They are left out"
             return f"{left_out}; of all others the law leaves {left} rms."
-        names = [name.replace(f"{UNKNOWN}: ", "the ") for name in name_findings(named)]
+        names = name_in_sentence(named)
         what = f"The law extended by {join_words(names)}"
         if gain is None:
             last = diagnosis.selection.linearized
@@ -226,15 +230,15 @@ class TableWords(Words):
             )
         if self._is_rounding:
             return (
-                f"{what} {cut}. What it leaves of {table.response} in all rows is rounding: {table.response} "
-                "may have been computed from these columns. If so, leave them out, and diagnose again."
+                f"{what} {cut}. Over all rows it leaves no more than rounding of {table.response}, as of no "
+                "measurement. If that was computed from these columns, leave them out, and diagnose again."
             )
         return f"{what} {cut}; the noise is {noise}.{advice}"
 
     @property
     def _is_rounding(self) -> bool:
         """Whether a law predicts the response as exactly as its numbers are written."""
-        return self.diagnosis.repeatability < ROUNDING * self.table.response_sd
+        return self.diagnosis.repeatability < SHARE_OF_ROUNDING * self.table.response_sd
 
     def _describe_no_misfit(self) -> str:
         diagnosis, table = self.diagnosis, self.table
@@ -285,10 +289,7 @@ class TableWords(Words):
         if linearized.noise_filter is not None:
             left = left / linearized.noise_filter.diagonal()
             foretold = " what the rows before foretell"
-        numbers = linearized.rows[ROW_NUMBER].to_numpy() + 1
-        named = join_words(
-            [f"row {numbers[row]} ({self.table.format_signed(float(left[row]))})" for row in far]
-        )
+        named = join_words(self._name_rows(linearized.rows[ROW_NUMBER].iloc[far], left[far]))
         largest = float(size[far].max())
         check = (
             f"Check {named}: {'up to ' * (len(far) > 1)}{format_significant(largest, 2)} standard deviations "

@@ -206,6 +206,11 @@ def name_findings(findings: Sequence[Finding]) -> list[str]:
     ]
 
 
+def name_in_sentence(findings: Sequence[Finding]) -> list[str]:
+    """The same as they are called within a sentence: "the smooth function", "drift"."""
+    return [name.replace(f"{UNKNOWN}: ", "the ") for name in name_findings(findings)]
+
+
 def describe_proposal(finding: Finding) -> str:
     """What is put into the law for structure without a name, without a full stop."""
     steps, worth = _name_steps(finding), _describe_worth(finding)

@@ -20,7 +20,7 @@ from stickslip_fit._typing import Array
 from stickslip_fit.diagnosis._unknown_summary import (
     describe_lag,
     describe_share,
-    name_findings,
+    name_in_sentence,
     share_by_equation,
 )
 from stickslip_fit.diagnosis.cause_set import form_cause_set
@@ -42,6 +42,11 @@ MIN_BULGE = 0.25  # of its range, by which it is larger or smaller at middle val
 # Least probability and largest p-value of structure without a name beside what is named, to be told.
 MIN_REST, MAX_REST_P_VALUE = 0.3, 0.1
 MIN_SHARE, NEARLY_ALL = 0.05, 0.9  # of a structure that its closest cause explains, to be told
+
+
+def largest_departures(outliers: pd.DataFrame, most: int) -> pd.DataFrame:
+    """The rows of a finding of outliers that are farthest off, at `most` so many, the farthest first."""
+    return outliers.loc[outliers["departure"].abs().sort_values(ascending=False).index].head(most)
 
 
 @dataclass(frozen=True)
@@ -111,7 +116,7 @@ class Words(ABC):
         found = [one for one in self.diagnosis.findings if id(one.version) in in_law]
         if len(found) < 2:
             return []
-        names = [name.replace(f"{UNKNOWN}: ", "the ") for name in name_findings(found)]
+        names = name_in_sentence(found)
         effects, told = [fitted_effect(selection, one.version) for one in found], []
         for (one, own), (other, opposite) in combinations(zip(names, effects, strict=True), 2):
             together, smaller = rms(own + opposite), min(rms(own), rms(opposite))

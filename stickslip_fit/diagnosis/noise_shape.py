@@ -18,9 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from stickslip_fit._typing import Array, IntArray
-from stickslip_fit.diagnosis.unevenness import CONTAMINATION, contaminate, log_student_t
+from stickslip_fit.diagnosis.unevenness import CONTAMINATION, TAIL_DF, contaminate, log_student_t
 
-TAIL_DF = (5.0, 200.0)  # of Student t noise
 # Skewed
 MIN_SKEW_LOG_RATIO = 6.0  # nats over symmetric noise
 MAX_SKEW = 1.5  # of g; 1 is the log-normal distribution of a standard normal exponent

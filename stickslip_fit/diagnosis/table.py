@@ -143,7 +143,8 @@ def diagnose_table(
     with name_file(frame, sheet):
         table, source = read_rows(frame, sheet, roles, used, levels)
         table, notes = leave_out_gaps(table, {*used, *levels, *roles.columns.values()})
-        table = with_numbers(table, used)  # the text of a column may have stood in a row that was left out
+        # The text of a column may have stood in a row that was left out.
+        table = with_numbers(table, [*used, *roles.number_columns])
         source["notes"] = (*source["notes"], *notes, *describe_choices(table, roles, law))
         roles = replace(roles, time_unit=declared_time_unit(law, table, time))
         if shared is not None:

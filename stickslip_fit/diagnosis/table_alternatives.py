@@ -24,9 +24,11 @@ import pandas as pd
 
 from stickslip_fit._format import join_words
 from stickslip_fit._typing import Array, IntArray
+from stickslip_fit.causes.levels import MAX_LEVELS
 from stickslip_fit.causes.roles import TableRoles, direction_labels, direction_sign
 from stickslip_fit.causes.smooth import LENGTHS, prior_sds
 from stickslip_fit.causes.table_terms import (
+    GROUP,
     PREDICTION,
     ColumnFunction,
     CourseTerm,
@@ -55,7 +57,6 @@ MIN_CYCLES = 2.5  # of a periodic disturbance in a session of a sampled signal
 N_SLOW, PERIODS_PER_CYCLE = 120, 4.0  # periods of rows at uneven times; for each cycle more in the record
 # Of the rows, those that repeat a setting; settings.
 MIN_REPEATED, MAX_SETTINGS = 1.0 / 3.0, 150
-MAX_FEW_VALUES = 12  # of a column whose settings with those of another one may matter
 AS_SHARE = ", as a share of what the law predicts"  # after the carriers of such a function
 MAX_HALVES = 2  # columns of two texts
 MIN_RATIO = 2.0  # of the largest to the smallest value of a column, whose logarithm is tried
@@ -188,10 +189,10 @@ class TableAlternatives:
         codes, groups = pd.factorize(linearized.rows[self.roles.group])
         if len(groups) >= len(codes) / 3 or len(groups) * len(codes) >= MAX_ELEMENTS:
             return []
-        shapes = [("group", np.eye(len(groups))[codes])]
+        shapes = [(GROUP, np.eye(len(groups))[codes])]
         if self.roles.direction:
             sign = direction_sign(linearized.columns, self.roles.direction, self.labels)
-            shapes.append(("group by direction", sign[:, None] * shapes[0][1]))
+            shapes.append((f"{GROUP} by direction", sign[:, None] * shapes[0][1]))
         return [
             make_hypothesis(f"unknown:{name}", None, None, linearized.project(linearized.whiten(columns)))
             for name, columns in shapes
@@ -394,7 +395,7 @@ def find_settings(
     And every two columns of few values each, as of a designed experiment.
     """
     law = [*own, *([roles.direction] if roles.direction else [])]
-    few = [name for name in dict.fromkeys([*law, *covariates]) if rows[name].nunique() <= MAX_FEW_VALUES]
+    few = [name for name in dict.fromkeys([*law, *covariates]) if rows[name].nunique() <= MAX_LEVELS]
     pairs = list(combinations(few, 2)) if len(few) <= MAX_PAIR_COLUMNS else []
     sets = [law, *([*law, name] for name in covariates), *pairs, [*law, *covariates]]
     known = set[tuple[int, ...]]()

@@ -105,7 +105,7 @@ def read_rows(
     names = [str(name) for name in table.columns]
     if len(table) == 0 or len(set(names)) < len(names):
         prepare_rows(table, roles)  # which says what is wrong
-    numbers = [*used, *filter(None, [roles.position, roles.sigma])]
+    numbers = [*used, *roles.number_columns]
     texts = [roles.session, roles.direction, roles.group, roles.time, *levels]
     table = with_numbers(table.set_axis(names, axis=1), numbers)
     table, notes = leave_out_empty(table, numbers, [name for name in texts if name])

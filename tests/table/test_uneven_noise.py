@@ -76,15 +76,13 @@ def test_a_cause_beside_noise_that_is_larger_in_a_label_is_as_precise_as_weights
     assert one.effect.high - one.effect.low == pytest.approx(2 * 1.96 * error * rms, rel=0.15)
 
 
-def test_what_changes_along_a_column_in_one_label_or_at_its_end_is_no_noise():
-    frame = make(2, lambda frame: frame["x"] < 0.0)
-    steep = frame.assign(y=frame["y"] + (frame["lot"] == "B") * (frame["x"] - 0.5))
-    ends = frame.assign(y=frame["y"] + 400.0 * np.maximum(frame["x"] - 0.9, 0.0) ** 2)
-    for each, cause, carriers in ((steep, "covariate:lot", {""}), (ends, "unknown", {"x", "prediction"})):
-        found = ssf.diagnose_table(each, "y ~ a + b*x", gain=False)
-        assert found.findings[0].cause == cause
-        assert found.findings[0].carrier in carriers
-        assert "uneven" not in found.noise_properties
+def test_what_steepens_at_the_end_of_a_column_is_no_noise_there():
+    """Seven rows of 61, up to a thousand times the noise: as likely a range in which the noise is large."""
+    x = np.linspace(0.0, 60.0, 61)
+    noise = 0.01 * np.random.default_rng(3).standard_normal(61)
+    frame = pd.DataFrame({"x": x, "y": 1.0 + 0.02 * x + 0.03 * np.maximum(x - 53.0, 0.0) ** 3 + noise})
+    (finding,) = ssf.diagnose_table(frame, "y ~ a + b*x", gain=False).findings
+    assert (finding.cause, finding.carrier) == ("unknown", "x")
 
 
 def test_a_group_named_by_its_role_is_told_by_the_columns_name():
