@@ -1,8 +1,8 @@
 """Simulated tables whose noise differs between rows, and tables of two factors: what is found in them.
 
-`python -m benchmarks.table_designs noise --tables 15` counts right answers in tables of nothing but noise; with
-`--strength 10` each has the effect of a column beside. `python -m benchmarks.table_designs factors --tables 16`
-counts what is found of the effects of two labels, each of strength 12.
+`python -m benchmarks.table_designs noise --tables 15` counts right answers in tables of nothing but noise;
+with `--strength 10` each has the effect of a column beside. `python -m benchmarks.table_designs factors
+--tables 16` counts what is found of the effects of two labels, each of strength 12.
 """
 
 import argparse
