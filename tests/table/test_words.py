@@ -188,7 +188,7 @@ def test_a_response_that_is_computed_from_columns_is_told():
     )
     frame = frame.assign(both=frame["first"] + frame["second"])
     text = " ".join(str(ssf.diagnose_table(frame, "both ~ a + b*x", gain=False).summary()).split())
-    assert "If that was computed from these columns, leave them out" in text
+    assert "If both was computed from these columns, leave them out" in text
     assert "Check row" not in text
 
 
