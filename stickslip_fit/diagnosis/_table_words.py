@@ -230,8 +230,8 @@ class TableWords(Words):
             )
         if self._is_rounding:
             return (
-                f"{what} {cut}. Over all rows it leaves no more than rounding; no measurement is so exact. If "
-                f"{table.response} was computed from these columns, leave them out, and diagnose again."
+                f"{what} {cut}. Over all rows it leaves no more than rounding; no measurement is so exact. "
+                f"If {table.response} was computed from these columns, leave them out, and diagnose again."
             )
         return f"{what} {cut}; the noise is {noise}.{advice}"
 
